@@ -27,7 +27,7 @@ from aslip.base.archive import from_npy, read_zip
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError, machine_failed
 from aslip.robot import Robot
 
-CONTRACT_VERSION: Final = 2
+CONTRACT_VERSION: Final = 3
 """Version of the contract; files of other versions are refused."""
 
 TOLERANCE: Final = 1e-6

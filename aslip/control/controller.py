@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
@@ -18,14 +17,14 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from aslip.base.decorators import check_types, on_cpu_in_single
-from aslip.control.estimates import check_rows, is_estimate, join_estimate
+from aslip.control.base import ControllerBase, Given
 from aslip.control.robot_frame import next_entries, start_entries
 from aslip.control.steering import Steering
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
-from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
+from aslip.robot import Robot
 from aslip.transforms.action import add_delta
 from aslip.transforms.base import check_number
 from aslip.transforms.clock import clock_entries
@@ -33,16 +32,6 @@ from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.reference import feedforward_target
-
-Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
-"""Packets of n robots, w each and oldest first: entries (n, w, k) with the names of
-`Robot.packet_sizes`, or all entries concatenated to (n, w, p). One packet of one robot has no
-leading axes.
-
-For robots that estimate their own state, entries (n, k) of `Robot.estimate_sizes` instead: the
-latest estimates, in frames with z up against gravity. Policies that observe their distance from the
-commanded path also need `position` (n, 3) of the pelvis [m]."""
-
 
 # groups of entries that each step overwrites
 _FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
@@ -61,15 +50,20 @@ class ControllerState:
     packets, `odometry` and `estimator` (its faults, and its memory with the heading), too; with
     robots' own estimates, `heading` and, where these have positions along a path, `odometry` of
     `origin` and `path_error`. With a library of several axes, `filtered_command`, too; if robots
-    stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of `aslip.library.WalkMode`."""
+    take stand commands, `stand` (n, 1) and `mode` (n, 1), values of `aslip.library.WalkMode`."""
 
     @property
     def motor_target(self) -> Tensor:
         """Target angles (n, m) of the PD loops until the next step [rad]."""
         return cast("Tensor", self.tensordict["motor_target"])
 
+    @property
+    def own_estimates(self) -> bool:
+        """True for robots that estimate their own state, False for robots that send packets."""
+        return "estimator" not in self.tensordict
 
-class Controller:
+
+class Controller(ControllerBase[ControllerState]):
     """Compute motor targets of n robots from their sensor packets, at every policy step.
 
     Estimator, clock, reference, observation, policy and feedforward are those of the training
@@ -91,8 +85,8 @@ class Controller:
     filtered command (`CommandFilter`), and heading and origin of the odometry move along its path
     (`HeadingFrame`), so that a yaw rate turns the robot without a new heading.
 
-    A controller whose policy stands takes a wish, 1 to stand and 0 to walk: the robots slow down,
-    stop at a touchdown, stand, and start again (`StandClock`).
+    A controller whose policy stands takes a stand command, 1 to stand and 0 to walk: the robots
+    slow down, stop at a touchdown, stand, and start again (`StandClock`).
 
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
     them to the heading and does not filter them. The last one is kept if an estimate is missing,
@@ -112,8 +106,8 @@ class Controller:
         command_rates: largest rates of the filtered command with a library of several axes
             [m/s^2, rad/s^2], see `CommandFilter`; by default those in the policy's file, or
             `COMMAND_RATES`.
-        stands: True for robots that stand on a wish; by default as the policy's file says, False
-            for a module.
+        stands: True for robots that take stand commands; by default as the policy's file says,
+            False for a module.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -167,148 +161,75 @@ class Controller:
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
 
-    @on_cpu_in_single
-    def start(
-        self,
-        packets: Packets,
-        command: float | Sequence[float] | Tensor = 0.0,
-        *,
-        stand: bool | float | Tensor = 0.0,
-        phase: float | Tensor = 0.0,
-        heading: ArrayLike | None = None,
-    ) -> ControllerState:
-        """Start with robots whose lower foot rests on the ground; compute the first targets.
+    @property
+    def robot(self) -> Robot:
+        """Robot of the estimator."""
+        return self.estimator.robot
 
-        Args:
-            packets: packets; only the last of each robot is used.
-            command: command, one for all robots or (n, c).
-            stand: wish, 1 to stand or 0 to walk, one or (n, 1).
-            phase: stride fraction to begin at, one or (n, 1).
-            heading: yaw that counts as straight ahead, in the frame of the IMU's attitude [rad],
-                one or (n, 1); by default the yaw in the packets.
+    @property
+    def command_size(self) -> int:
+        """Number c of components of a command."""
+        return self.library.command_size
 
-        Raises:
-            ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
-                or the packets lack an entry.
-            ConfigurationError: command, wish, phase or heading is not finite, an estimate is not
-                finite or impossible, or these robots cannot stand.
-        """
-        rows = self._rows(packets)
-        num = len(rows)
-        wish, begins = self._wish(stand, num), _column("phase", phase, num)
-        entries = self.steering.begin(self._command(command, num), begins, wish)
-        return self.act(self._begin(rows, entries, heading))
+    @property
+    def stands(self) -> bool:
+        """True if the robots take stand commands."""
+        return self.steering.stands
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Motor angles (m,) of the reference in standing, or in place at phase 0 [rad]."""
+        return self.steering.pose().double().numpy()
 
     @on_cpu_in_single
-    def step(
-        self,
-        state: ControllerState,
-        packets: Packets | None,
-        command: float | Sequence[float] | Tensor | None = None,
-        *,
-        stand: bool | float | Tensor | None = None,
-        heading: float | Tensor | None = None,
-        restart: Tensor | None = None,
-        phase: float | Tensor = 0.0,
-    ) -> tuple[ControllerState, Tensor]:
-        """Advance by a policy step.
+    def _start(self, given: Given, phase: np.ndarray) -> ControllerState:
+        command, num = self._nearest(given.command), len(given.rows)
+        steered = self.steering.begin(command, torch.from_numpy(phase), _tensor(given.stand))
+        if given.own_estimates:
+            entries = start_entries(given.rows, given.heading, self.robot, self._along_path)
+        else:
+            origin = torch.zeros(num, 3) if self._along_path else None
+            entries = estimate_entries(*self.estimator.start(given.rows, given.heading), origin)
+        first = torch.ones(num, 1, dtype=torch.bool)
+        return self.act(TensorDict({**steered, "is_init": first, **entries}, batch_size=[num]))
 
-        Args:
-            state: state that `start` or the previous step returned.
-            packets: packets since then, oldest first; None if all are lost.
-            command: new command, one for all robots or (n, c). It acts from the previous policy
-                step on, as when a caller writes `command` between the steps of an environment. By
-                default the command does not change.
-            stand: new wish, 1 to stand or 0 to walk, one or (n, 1), which acts like a new command.
-            heading: new yaw that counts as straight ahead [rad], one or (n, 1).
-            restart: (n, 1) bool, robots that restart with these packets, as after a reset of an
-                environment.
-            phase: stride fraction at which robots restart, one or (n, 1).
-
-        Returns:
-            New state, and its motor targets (n, m) [rad].
-
-        Raises:
-            ShapeError, UnknownNameError: an argument has the wrong shape, or the packets lack an
-                entry.
-            ConfigurationError: an argument is not finite, or these robots cannot stand.
-        """
+    @on_cpu_in_single
+    def _step(self, state: ControllerState, given: Given) -> ControllerState:
         past, num = state.tensordict, len(state.tensordict)
-        rows = self._lost(past) if packets is None else self._rows(packets, num)
-        now = past["command"] if command is None else self._command(command, num)
-        wish = past.get("stand", None) if stand is None else self._wish(stand, num)
-        ahead = None if heading is None else _column("heading", heading, num)
+        command = past["command"] if given.command is None else self._nearest(given.command)
+        stand = past.get("stand", None) if given.stand is None else _tensor(given.stand)
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
-        steered = self.steering.advance(past, now, cast("Tensor | None", wish))
+        steered = self.steering.advance(past, command, cast("Tensor | None", stand))
         present.update(
             {
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
-                **self._followed(past, rows, ahead, steered.get("mode")),
+                **self._followed(past, given, steered.get("mode")),
                 **steered,
             }
         )
-        if restart is not None and restart.any():
-            present = self._restarted(present, restart.reshape(num), rows, phase, ahead)
-        state = self.act(present)
-        return state, state.motor_target
+        return self.act(present)
 
-    def _begin(
-        self, rows: np.ndarray, steered: Mapping[str, Tensor], heading: ArrayLike | None
-    ) -> TensorDict:
-        """Entries of robots that start with packets (n, w, p), or with estimates (n, e)."""
-        if rows.ndim == 3:
-            origin = torch.zeros(len(rows), 3) if self._along_path else None
-            begun = self.estimator.start(rows, heading)
-            entries = estimate_entries(*begun, origin)
-        else:
-            entries = start_entries(rows, heading, self.estimator.robot, self._along_path)
-        first = torch.ones(len(rows), 1, dtype=torch.bool)
-        return TensorDict({**steered, "is_init": first, **entries}, batch_size=[len(rows)])
-
-    def _restarted(
-        self,
-        present: TensorDictBase,
-        robots: Tensor,
-        rows: np.ndarray,
-        phase: float | Tensor,
-        heading: Tensor | None,
-    ) -> TensorDictBase:
-        """Entries (n,) after the robots of a mask (n,) restart with these packets or estimates."""
-        present = present.clone()
-        ahead = None if heading is None else heading[robots].double().numpy()
-        phases = _column("phase", phase, len(present))
-        command, stand = (cast("Tensor", present.get(k, phases)) for k in ("command", "stand"))
-        wish = stand[robots] if self.steering.stands else None
-        entries = self.steering.begin(command[robots], phases[robots], wish)
-        begun = self._begin(rows[robots.numpy()], entries, ahead)
-        # entries that only the other robots have are zero
-        zeros = present[: len(begun)].clone().zero_()
-        present[robots] = zeros.update(begun)
-        return present
-
-    def _followed(
-        self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None, mode: Tensor | None
-    ) -> dict[str, Any]:
-        """Entries of robots after packets (n, w, p), or after their own estimates (n, e)."""
-        if (rows.ndim == 2) == ("estimator" in past):
-            kinds = ("packets", "estimates")
-            got, started = kinds if rows.ndim == 3 else kinds[::-1]
-            raise ConfigurationError(f"got {got}, but the robots started with {started}")
-        command = cast("Tensor | None", past.get("filtered_command", None))
-        if rows.ndim == 2:
-            return next_entries(past, rows, heading, self.estimator.robot, command, mode)
+    def _followed(self, past: TensorDictBase, given: Given, mode: Tensor | None) -> dict[str, Any]:
+        """Entries of robots after their packets, or after their own estimates."""
+        heading, command = _tensor(given.heading), past.get("filtered_command", None)
+        if given.own_estimates:
+            return next_entries(past, given.rows, heading, self.robot, command, mode)
         memory = cast("Tensor", past["estimator", "memory"])
-        tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
+        tracking = Tracking.from_rows(memory.numpy(), self.robot)
         origin = None
         if command is not None:
             before = cast("TensorDictBase", past["odometry"])
             origin = follow_path(tracking, before, command, heading)
         elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
-        estimate = self.estimator.update(tracking, rows)
+        estimate = self.estimator.update(tracking, given.rows)
         return estimate_entries(tracking, estimate, origin, mode)
+
+    def _nearest(self, command: np.ndarray | None) -> Tensor:
+        """Command (n, c) moved into the region of the library."""
+        return self.library.nearest(cast("Tensor", _tensor(command)))
 
     @torch.no_grad()
     @on_cpu_in_single
@@ -343,68 +264,10 @@ class Controller:
         baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
 
-    def _rows(self, packets: Packets, num: int | None = None) -> np.ndarray:
-        """Packets (n, w, p) or estimates (n, e) from any accepted form, of `num` robots."""
-        robot = self.estimator.robot
-        if isinstance(packets, TensorDictBase | Mapping):
-            named = {str(name): np.asarray(value) for name, value in packets.items()}
-            if is_estimate(named):
-                return check_rows(join_estimate(named, robot), robot, num)
-            packets = join(named, robot)
-        rows = np.asarray(packets, dtype=np.float64)
-        return check_rows(rows[None, None] if rows.ndim == 1 else rows, robot, num)
 
-    def _lost(self, past: TensorDictBase) -> np.ndarray:
-        """Array of NaN in place of the packets, or of the estimates, of all robots."""
-        robot = self.estimator.robot
-        own = sum(robot.estimate_sizes.values())
-        size = (1, robot.packet_size) if "estimator" in past else (own,)
-        return np.full((len(past), *size), np.nan)
-
-    def _command(self, command: float | Sequence[float] | Tensor, num: int) -> Tensor:
-        """Command (num, c) in the region of the library."""
-        size = self.library.command_size
-        value = torch.as_tensor(command, dtype=torch.float32)
-        if size > 1 and value.ndim == 0:
-            value = torch.nn.functional.pad(value[None], (0, size - 1))
-        return self.library.nearest(_columns("command", value, num, size))
-
-    def _wish(self, stand: float | Tensor, num: int) -> Tensor | None:
-        """Wish (num, 1) to stand; None for robots that only walk.
-
-        Raises:
-            ConfigurationError: a robot that cannot stand shall.
-        """
-        wish = _column("stand", stand, num)
-        if self.steering.stands:
-            return wish
-        if (wish > 0.5).any():
-            raise ConfigurationError(
-                "these robots cannot stand: their policy was not trained for it; give"
-                " Controller(..., stands=True) if it was, and a library with stop and start"
-            )
-        return None
-
-
-def _column(name: str, value: float | Tensor, num: int) -> Tensor:
-    """Column (num, 1) from one number for all robots or one per robot; see `_columns`."""
-    return _columns(name, torch.as_tensor(value, dtype=torch.float32), num, 1)
-
-
-def _columns(name: str, value: Tensor, num: int, size: int) -> Tensor:
-    """Values (num, size), from one for all robots or one per robot.
-
-    Raises:
-        ShapeError: `value` has another shape.
-        ConfigurationError: a number is not finite.
-    """
-    one = () if size == 1 else (size,)
-    if value.shape not in (one, (num, size)):
-        what = "one number" if size == 1 else f"{size} numbers"
-        raise ShapeError(f"{name} must be {what} or ({num}, {size}), got {tuple(value.shape)}")
-    if not value.isfinite().all():
-        raise ConfigurationError(f"{name} must be finite, got {value.tolist()}")
-    return value.expand(num, size).clone()
+def _tensor(values: np.ndarray | None) -> Tensor | None:
+    """Tensor of an array; None stays None."""
+    return None if values is None else torch.from_numpy(values)
 
 
 def _key(name: str) -> NestedKey:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.robot import LARGEST, is_possible
-from aslip.robot.rotation import yaw
 
 POSITION = "position"
 """Optional entry of an estimate: position of the pelvis (3,) [m], level in the frame of the
@@ -29,11 +28,6 @@ def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
         "joint_position": qpos[at.joint_qpos],
         POSITION: qpos[at.pelvis_position],
     }
-
-
-def is_estimate(packets: object) -> bool:
-    """Check whether a mapping has the entries of an estimate, not those of packets."""
-    return isinstance(packets, Mapping) and "height" in packets
 
 
 def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
@@ -58,29 +52,6 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
     if len({len(column) for column in columns}) > 1:
         raise ShapeError(f"entries of an estimate differ in length: {[len(c) for c in columns]}")
     return np.concatenate(columns, axis=1)
-
-
-def check_rows(rows: np.ndarray, robot: Robot, num: int | None = None) -> np.ndarray:
-    """Check the shape of packets (n, w, p) or joined estimates (n, e), and return them.
-
-    Args:
-        rows: the array.
-        robot: robot that gives the sizes p and e.
-        num: number n of robots that are controlled already.
-
-    Raises:
-        ShapeError: the shape is neither, or of another number of robots.
-    """
-    packet, own = robot.packet_size, sum(robot.estimate_sizes.values())
-    # the estimator checks the width of packets
-    if rows.ndim != 3 and not (rows.ndim == 2 and rows.shape[1] in (own, own + 3)):
-        raise ShapeError(
-            f"packets must have shape (n, w, {packet}), or ({packet},) of one robot, and joined"
-            f" estimates (n, {own}), or (n, {own + 3}) with a position, got {rows.shape}"
-        )
-    if num is not None and len(rows) != num:
-        raise ShapeError(f"packets or estimates must come from {num} robots, got {len(rows)}")
-    return rows
 
 
 def split_estimate(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
@@ -119,18 +90,11 @@ def _limits(robot: Robot, width: int) -> tuple[np.ndarray, dict[str, slice]]:
     return largest, {name: places[name] for name in ("height", "orientation")}
 
 
-def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> np.ndarray:
-    """Headings (n, 1) of robots that start with estimates (n, e) [rad].
-
-    Args:
-        rows: joined estimates.
-        heading: yaw that counts as straight ahead, in the frame of the estimates [rad], one or
-            (n, 1); by default that of the estimates.
-        robot: robot that gives the sizes of the entries.
+def check_first(rows: np.ndarray, robot: Robot) -> None:
+    """Check the joined estimates (n, e) of robots that start.
 
     Raises:
-        ConfigurationError: an estimate or a heading is not finite, or a robot cannot have it.
-        ShapeError: `heading` has neither one number nor one per robot.
+        ConfigurationError: an estimate is not finite, or a robot cannot have it.
     """
     parts = split_estimate(rows, robot)
     for i in range(len(rows)):
@@ -140,10 +104,3 @@ def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> 
                 f"the first estimate of a robot must be finite and possible: {lost[0]} is"
                 f" {first[lost[0]].tolist()}; wait until the robot's estimator is ready"
             )
-    orientation = parts["orientation"]
-    ahead = yaw(orientation) if heading is None else np.asarray(heading, np.float64)
-    if not np.isfinite(ahead).all():
-        raise ConfigurationError(f"heading must be finite, got {ahead.tolist()}")
-    if ahead.size not in (1, len(rows)):
-        raise ShapeError(f"heading must be one number or ({len(rows)}, 1), got {ahead.shape}")
-    return np.broadcast_to(ahead.reshape(-1, 1), (len(rows), 1)).copy()

@@ -7,12 +7,12 @@ from typing import cast
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from aslip.control.estimates import POSITION, mark_lost, split_estimate, start_heading
+from aslip.control.estimates import POSITION, check_first, mark_lost, split_estimate
 from aslip.robot import Robot
+from aslip.robot.rotation import yaw
 from aslip.transforms.estimate import PATH_SIZES
 from aslip.transforms.path import advance_frame, advance_heading, place_in_path
 from aslip.transforms.rotation import (
@@ -31,15 +31,26 @@ Entries = dict[str, Tensor | dict[str, Tensor]]
 
 
 def start_entries(
-    rows: np.ndarray, heading: ArrayLike | None, robot: Robot, along_path: bool = False
+    rows: np.ndarray, heading: np.ndarray | None, robot: Robot, along_path: bool = False
 ) -> Entries:
-    """Entries `estimate` and `heading` of robots that start with estimates (n, e).
+    """Entries `estimate` and `heading` of robots that start with estimates.
 
-    With estimated positions, robots along a path have `odometry`, too; see `place_on_path`. Other
-    arguments and errors are those of `start_heading`.
+    Args:
+        rows: (n, e) joined estimates.
+        heading: (n, 1) yaw that counts as straight ahead, in the frame of the estimates [rad]; by
+            default that of the estimates.
+        robot: robot that gives the sizes of the entries.
+        along_path: True for robots along a path, which have `odometry`, too, if their estimates
+            have positions; see `place_on_path`.
+
+    Raises:
+        ConfigurationError: an estimate is not finite, or a robot cannot have it.
     """
-    ahead = torch.from_numpy(start_heading(rows, heading, robot))
+    check_first(rows, robot)
     part, position = _tensors(rows, robot)
+    if heading is None:
+        heading = yaw(part["orientation"].numpy())[:, None]
+    ahead = torch.from_numpy(heading)
     entries: Entries = {"estimate": turn_estimate(part, ahead), "heading": ahead}
     if along_path and position is not None:
         place = rotate_about_vertical(position, -ahead)
@@ -66,7 +77,7 @@ def next_entries(
         heading: new yaw (n, 1) that counts as straight ahead [rad], or None.
         robot: robot that gives the sizes of the entries.
         command: command (n, c) during the step, along whose path the heading turns, or None.
-        mode: new mode (n, 1) of robots that stand on a wish, or None.
+        mode: new mode (n, 1) of robots that take stand commands, or None.
     """
     before = cast("Tensor", past["heading"] if heading is None else heading)
     ahead = before
@@ -105,7 +116,7 @@ def place_on_path(
         origin: (n, 3) origin of the moving frame [m, frame of the estimates].
         heading: (n, 1) yaw of the frame [rad].
         last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
-        mode: (n, 1) mode of robots that stand on a wish.
+        mode: (n, 1) mode of robots that take stand commands.
 
     Returns:
         `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.

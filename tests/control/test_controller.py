@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import cast
@@ -27,6 +26,7 @@ from aslip.policy import policy_library, policy_stack, read_card, save_policy
 from aslip.policy.networks import PolicyShape, RunningNormalizer, make_actor
 from aslip.robot import CASSIE
 from aslip.transforms import SINGLE_REFERENCE_TABLE, SeededTransform
+from tests.control.helpers import compare_rollouts
 
 QUARTER = math.pi / 2
 
@@ -63,40 +63,18 @@ def make_rollout_env(name: str, num: int) -> StackEnv:
     return aslip.make_env(stack=stack, num_envs=num, seed=5, num_threads=1, drop=["low_reward"])
 
 
-def walk(
-    env: StackEnv, policy: TensorDictModuleBase, controller: Controller, steps: int
-) -> Iterator[tuple[TensorDictBase, TensorDictBase]]:
-    """Record entries of an environment and a controller at each step, and the controller's memory.
-
-    Commands and headings change, and robots that fall are reset.
-    """
+def follow(env: StackEnv, policy: TensorDictModuleBase, controller: Controller, *keys: str) -> None:
+    """Compare a rollout in which commands and headings change."""
     num = env.num_envs
-    heading = torch.linspace(0.1, QUARTER, num)[:, None]
-    td = env.reset(TensorDict(heading=heading, batch_size=num))
-    state = controller.start(td["sensors"], td["command"], phase=td["phase"], heading=td["heading"])
-    for step in range(steps):
+
+    def change(step: int, td: TensorDictBase) -> None:
         if step % 13 == 8:
             td["command"] = torch.full((num, 1), 0.1 * step % 2)
         if step == 30:
             td["heading"] = td["heading"] + QUARTER
-        written, turned = td["command"], td["heading"]
-        td, following = env.step_and_maybe_reset(policy(td))
-        yield td, state.tensordict
-        restart = td["next", "done"]
-        torch.testing.assert_close(
-            torch.where(restart, 0.0, following["command"]),
-            torch.where(restart, 0.0, written),
-        )
-        state, target = controller.step(
-            state,
-            following["sensors"],
-            following["command"],
-            heading=torch.where(restart, following["heading"], turned),
-            restart=restart,
-            phase=following["phase"],
-        )
-        assert target is state.motor_target
-        td = following
+
+    first = TensorDict(heading=torch.linspace(0.1, QUARTER, num)[:, None], batch_size=num)
+    list(compare_rollouts(env, policy, controller, keys, change, steps=90, first=first))
 
 
 @torch.no_grad()
@@ -105,19 +83,13 @@ def walk(
 def test_motor_targets_are_those_of_a_stacks_rollout(name: str, num: int) -> None:
     """With noise, lost packets, changes of command and heading, falls and resets."""
     env = make_rollout_env(policy_stack(name), num)
-    policy = aslip.load_policy(name)
     controller = Controller(name, gaits(policy_stack(name)))
-    restarts = 0
-    for td, ours in walk(env, policy, controller, 90):
-        theirs = env.transform.inv(td)
-        for key in ("motor_target", "observation", "phase", "estimator"):
-            assert (ours[key] == theirs[key]).all(), key
-        restarts += int(td["next", "done"].sum())
-    assert restarts > 0
+    keys = ("motor_target", "observation", "phase", "estimator")
+    follow(env, aslip.load_policy(name), controller, *keys)
 
 
-def _gru() -> tuple[TensorDictModuleBase, GRUModule]:
-    """Recurrent policy, and its recurrent part."""
+@torch.no_grad()
+def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
     torch.manual_seed(3)
     gru = GRUModule(
         input_size=64,
@@ -126,20 +98,10 @@ def _gru() -> tuple[TensorDictModuleBase, GRUModule]:
         out_keys=["embedding", ("next", "recurrent_state")],
     )
     head = TensorDictModule(torch.nn.Linear(8, 10), in_keys=["embedding"], out_keys=["action"])
-    return TensorDictSequential([gru, head]), gru
-
-
-@torch.no_grad()
-def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
-    policy, gru = _gru()
-    env = make_rollout_env("default", 3)
+    policy = TensorDictSequential([gru, head])
+    env = make_rollout_env("default", 1)
     env.append_transform(gru.make_tensordict_primer())
-    controller = Controller(policy, gaits("default"))
-    restarts = 0
-    for td, ours in walk(env, policy, controller, 60):
-        assert torch.equal(ours["action"], td["action"])
-        restarts += int(td["next", "done"].sum())
-    assert restarts > 0
+    follow(env, policy, Controller(policy, gaits("default")), "action")
 
 
 @torch.no_grad()
@@ -206,9 +168,8 @@ def test_a_step_changes_no_state_that_it_was_given(controller: Controller) -> No
     packets = _packets(2)
     state = controller.start(packets, 0.5)
     before = state.tensordict.clone()
-    restart = torch.tensor([[True], [False]])
-    once = controller.step(state, packets, restart=restart)[0].tensordict
-    again = controller.step(state, packets, restart=restart)[0].tensordict
+    once = controller.step(state, packets)[0].tensordict
+    again = controller.step(state, packets)[0].tensordict
     assert (before == state.tensordict).all()
     assert (once == again).all()
 

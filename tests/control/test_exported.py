@@ -38,7 +38,7 @@ from aslip.network.runner.load import load
 from aslip.network.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.robot import CASSIE
 from aslip.transforms import DIRECTION_TABLE
-from tests.control.exports import altered, estimate, standing_packet
+from tests.control.helpers import altered, estimate, standing_packet
 
 
 @pytest.fixture(scope="module")
@@ -146,21 +146,16 @@ def test_packets_are_tracked_as_by_the_controller(
         np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
 
 
-def test_the_last_estimate_holds_and_robots_restart(
+def test_the_last_estimate_holds_while_none_comes(
     controller: Controller, exported: ExportedController, trace: dict[str, np.ndarray]
 ) -> None:
-    rows = [estimate(row) for row in trace["estimate"][:3]]
-    theirs = controller.start(rows[0], 3.0)
-    ours = exported.start(rows[0], 3.0)
-    theirs, expected = controller.step(theirs, None)
-    ours, found = exported.step(ours, None)
-    np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
-    _, expected = controller.step(theirs, rows[2], restart=torch.tensor([[True]]), phase=0.6)
-    _, found = exported.step(ours, rows[2], restart=[[True]], phase=0.6)
+    row = estimate(trace["estimate"][0])
+    theirs, ours = controller.start(row, 3.0), exported.start(row, 3.0)
+    _, expected = controller.step(theirs, None)
+    _, found = exported.step(ours, None)
     np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
     # the state that a step was given stays the same
-    _, again = exported.step(ours, rows[2], restart=[[True]], phase=0.6)
-    np.testing.assert_array_equal(again, found)
+    np.testing.assert_array_equal(exported.step(ours, None)[1], found)
 
 
 def test_wrong_arguments_are_named(
@@ -180,13 +175,13 @@ def test_wrong_arguments_are_named(
         # held in a step, as an estimate that does not come
         _, held = exported.step(exported.start(good), lost)
         np.testing.assert_array_equal(held, exported.step(exported.start(good), None)[1])
-    with pytest.raises(ShapeError, match="one robot, got packets of 2"):
+    with pytest.raises(ShapeError, match="must come from 1 robots, got 2"):
         exported.start(np.zeros((2, 1, 42)))
     assert not exported.stands
     assert "stand" not in exported.start(good, stand=0.0).entries
-    with pytest.raises(ConfigurationError, match="cannot stand: its contract has no input 'stand'"):
+    with pytest.raises(ConfigurationError, match="cannot stand"):
         exported.start(good, stand=1.0)
-    with pytest.raises(ConfigurationError, match="cannot stand: its contract has no input 'stand'"):
+    with pytest.raises(ConfigurationError, match="cannot stand"):
         exported.step(exported.start(good), good, stand=True)
     with pytest.raises(ConfigurationError, match="got packets, but the robot started with esti"):
         exported.step(exported.start(good), np.zeros((1, 1, 42)))
@@ -215,7 +210,7 @@ def test_another_robot_is_refused(file: Path, change: dict[str, Any], message: s
 def test_another_contract_version_is_refused(file: Path, tmp_path: Path) -> None:
     about = json.loads(ExportedController(file).contract.metadata["aslip"])
     odd = altered(file, tmp_path / "odd.onnx", aslip=json.dumps({**about, "contract": 99}))
-    with pytest.raises(ConfigurationError, match="version 99, this package reads 2"):
+    with pytest.raises(ConfigurationError, match="version 99, this package reads 3"):
         ExportedController(odd)
 
 

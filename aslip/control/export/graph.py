@@ -27,7 +27,7 @@ from aslip.library.region import COMMANDS
 from aslip.policy import entry_names
 from aslip.robot import Robot
 from aslip.transforms import PATH_SIZES
-from aslip.transforms.path import advance_frame
+from aslip.transforms.path import advance_frame, advance_heading
 from aslip.transforms.rotation import rotate_about_vertical
 
 _WORLD = "frame of the estimates, z up against gravity"
@@ -92,12 +92,13 @@ class Entry:
 class PolicyStep(nn.Module):
     """Policy step of a controller as a module, for one robot that estimates its own state.
 
-    Inputs (1, k) are the entries of an estimate, `heading`, `command`, `first`, and values of the
-    last step: `last_phase`, `last_action`, `last_estimate`, with several axes of the command
+    Inputs (1, k) are the entries of an estimate, `command`, `first`, and values of the last step:
+    `last_heading`, `last_phase`, `last_action`, `last_estimate`, with several axes of the command
     `last_filtered_command`, and the policy's hidden states. A policy that stands also takes `stand`
-    and `last_mode`; one that observes its distance from the path takes `position`, `path_heading`,
-    `last_origin` and `last_path_error`. At a first step, `first` is True, `last_phase` is the phase
-    to begin at, `last_origin` the place of the pelvis, and the other last values have no effect.
+    and `last_mode`; one that observes its distance from the path takes `position`, `last_origin`
+    and `last_path_error`. At a first step, `first` is True, `last_heading` and `last_phase` are
+    those of the start, `last_origin` the position of the pelvis, and the other last values have no
+    effect.
 
     Args:
         controller: the controller.
@@ -144,16 +145,18 @@ class PolicyStep(nn.Module):
         parts = given["last_estimate"].split(list(sizes.values()), dim=-1)
         last = dict(zip(sizes, parts, strict=True))
         steered = self._steered(given, last)
+        heading = self._heading(given)
         estimate = {name: given[name] for name in sizes}
         present: dict[str, Any] = {
             **steered,
-            "estimate": hold_estimate(estimate, given["heading"], last),
+            "heading": heading,
+            "estimate": hold_estimate(estimate, heading, last),
             "last_action": torch.where(first, 0.0, given["last_action"]),
             # hidden states of first steps are set to zero here
             "is_init": torch.tensor([[False]] * len(first)),
         }
         if self._placed:
-            present["odometry"] = self._odometry(given, steered.get("mode"))
+            present["odometry"] = self._odometry(given, heading, steered.get("mode"))
         for name in self._memory:
             state = given[f"last_{name}"]
             present[name] = torch.where(first.reshape(-1, *[1] * (state.ndim - 1)), 0.0, state)
@@ -163,29 +166,39 @@ class PolicyStep(nn.Module):
     def _steered(
         self, given: Mapping[str, Tensor], last: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
-        """Command, phase, and what else follows from command, wish and last estimate."""
+        """Command, phase, and what else follows from commands and last estimate."""
         steering, first = self._controller.steering, given["first"]
         command, stand = self.library.nearest(given["command"]), given.get("stand")
-        begun = steering.begin(command, given["last_phase"], stand)
+        started = steering.begin(command, given["last_phase"], stand)
         names = ("phase", "filtered_command", "mode")
         past = {name: given[f"last_{name}"] for name in names if f"last_{name}" in given}
         following = steering.advance({**past, "estimate": last}, command, stand)
-        now = {name: torch.where(first, begun[name], following[name]) for name in past}
+        now = {name: torch.where(first, started[name], following[name]) for name in past}
         return {**following, **now}
 
-    def _odometry(self, given: Mapping[str, Tensor], mode: Tensor | None) -> dict[str, Tensor]:
+    def _heading(self, given: Mapping[str, Tensor]) -> Tensor:
+        """Yaw (n, 1) that counts as straight ahead, turned by the filtered yaw rate [rad]."""
+        before = given["last_heading"]
+        if not self._along_path:
+            return before
+        after = advance_heading(before, given["last_filtered_command"])
+        return torch.where(given["first"], before, after)
+
+    def _odometry(
+        self, given: Mapping[str, Tensor], heading: Tensor, mode: Tensor | None
+    ) -> dict[str, Tensor]:
         """Origin of the path of the command, and distance of the pelvis from it."""
-        first, before = given["first"], given["path_heading"].float()
-        place = rotate_about_vertical(given[POSITION], -given["heading"])
-        steer, begun = given["last_filtered_command"], given["last_origin"]
+        first, before = given["first"], given["last_heading"].float()
+        place = rotate_about_vertical(given[POSITION], -heading)
+        command, last = given["last_filtered_command"], given["last_origin"]
         error = given["last_path_error"]
-        origin, ahead = advance_frame(begun, before, steer, error)
-        origin, ahead = torch.where(first, begun, origin), torch.where(first, before, ahead)
-        return place_on_path(place, origin, ahead, error, mode)
+        origin, after = advance_frame(last, before, command, error)
+        origin, after = torch.where(first, last, origin), torch.where(first, before, after)
+        return place_on_path(place, origin, after, error, mode)
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
-        names = ["motor_target", "action", "observation", "phase"]
+        names = ["motor_target", "action", "observation", "phase", "heading"]
         names += ["filtered_command"] if self._along_path else []
         names += ["mode"] if self._controller.steering.stands else []
         sizes = self._robot.estimate_sizes
@@ -232,7 +245,7 @@ class PolicyStep(nn.Module):
 # from NumPy: not changed by torch's defaults at the time of the import
 _ZEROS = torch.from_numpy(np.zeros((1, 3)))
 _HEADING_INPUT = Entry(
-    "heading",
+    "last_heading",
     _ZEROS[:, :1],
     unit="rad",
     frame=_WORLD,
@@ -240,7 +253,7 @@ _HEADING_INPUT = Entry(
 )
 
 _STAND_INPUTS = (
-    Entry("stand", _ZEROS[:, :1].float(), meaning="wish: 1 to stand, 0 to walk"),
+    Entry("stand", _ZEROS[:, :1].float(), meaning="1 to stand, 0 to walk"),
     Entry("last_mode", _ZEROS[:, :1].float(), meaning=_MODES),
 )
 _PATH_INPUTS = (
@@ -254,18 +267,11 @@ _PATH_INPUTS = (
         "position of the pelvis; z has no effect",
     ),
     Entry(
-        "path_heading",
-        _ZEROS[:, :1],
-        unit="rad",
-        frame=_WORLD,
-        meaning="yaw of the moving frame before the step; heading is that after the step",
-    ),
-    Entry(
         "last_origin",
         _ZEROS[:, :3].float(),
         unit="m",
         frame=_WORLD,
-        meaning="origin of the moving frame; at a first step the place of the pelvis, with z zero",
+        meaning="origin of the moving frame; at a first step that of the pelvis, with z zero",
     ),
     Entry("last_path_error", _ZEROS[:, :2].float(), unit="m", frame=_HEADING),
 )
@@ -285,6 +291,7 @@ def _output(name: str, value: Tensor, robot: Robot) -> Entry:
         "observation": Entry(name, value, meaning="entries of observation_names, in order"),
         "nearest_command": Entry(name, value, meaning="command moved into the library's region"),
         "phase": Entry(name, value, meaning="stride fraction; 0 is left lift-off"),
+        "heading": Entry(name, value, unit="rad", frame=_WORLD, meaning="yaw straight ahead"),
         "mode": Entry(name, value, meaning=_MODES),
         "filtered_command": Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s"),
         "estimate": Entry(

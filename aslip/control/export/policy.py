@@ -259,8 +259,7 @@ def _random_inputs(
     rows = random_estimates(library, robot, phase, command, generator)
     given = {name: torch.from_numpy(value) for name, value in split_estimate(rows, robot).items()}
     given |= {"command": torch.from_numpy(command), "last_phase": phase}
-    given["heading"] = torch.from_numpy(generator.normal(0, 0.3, (num, 1)))
-    given["path_heading"] = given["heading"]
+    given["last_heading"] = torch.from_numpy(generator.normal(0, 0.3, (num, 1)))
     given["first"] = torch.from_numpy(generator.random((num, 1)) < 0.1)
     given["position"] = torch.from_numpy(generator.normal(0, 0.2, (num, 3)))
     for name, count in (("stand", 2), ("last_mode", len(WalkMode))):

@@ -13,11 +13,11 @@ import torch
 from tensordict import TensorDictBase
 
 from aslip.control import Controller, ControllerState
-from aslip.control.estimates import join_estimate
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import Estimate, StateEstimator
 from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
 from aslip.robot.rotation import orientation_to_heading, vector_to_heading
 from aslip.transforms import DIRECTION_TABLE
 from aslip.transforms.estimate import ESTIMATE_SIZES
@@ -142,18 +142,6 @@ def test_the_last_estimate_holds_while_no_possible_one_comes(
     assert target.isfinite().all()
 
 
-def test_restarted_robots_start_from_their_estimates(
-    controller: Controller, walk: list[ControllerState]
-) -> None:
-    state = controller.start(estimates(walk[0]), 0.5, heading=0.0)
-    again, _ = controller.step(
-        state, estimates(walk[5]), restart=torch.tensor([[True], [False], [False]]), heading=0.0
-    )
-    fresh = controller.start(estimates(walk[5]), 0.5, heading=0.0)
-    assert torch.equal(again.motor_target[0], fresh.motor_target[0])
-    assert not torch.equal(again.motor_target[1], fresh.motor_target[1])
-
-
 def test_packets_and_estimates_do_not_mix(
     controller: Controller, walk: list[ControllerState]
 ) -> None:
@@ -161,7 +149,7 @@ def test_packets_and_estimates_do_not_mix(
         controller.step(walk[0], estimates(walk[1]))
     own = controller.start(estimates(walk[0]))
     with pytest.raises(ConfigurationError, match="got packets, but the robots started with est"):
-        controller.step(own, np.zeros((3, 1, controller.estimator.robot.packet_size)))
+        controller.step(own, np.zeros((3, 1, CASSIE.packet_size)))
 
 
 def test_wrong_estimates_are_named(controller: Controller, walk: list[ControllerState]) -> None:
@@ -173,13 +161,10 @@ def test_wrong_estimates_are_named(controller: Controller, walk: list[Controller
         controller.start({**good, "velocity": np.zeros((3, 2))})
     with pytest.raises(ShapeError, match="differ in length"):
         controller.start({**good, "velocity": np.zeros((2, 3))})
-    joined = join_estimate(good, controller.estimator.robot)
-    controller.start(joined)
-    for rows in (np.pad(joined, ((0, 0), (0, 20))), joined[:, :5], np.zeros((2, 42)), joined[0]):
-        with pytest.raises(ShapeError, match="packet"):
-            controller.start(rows)
+    with pytest.raises(ShapeError, match="packets must have shape"):
+        controller.start(np.zeros((2, 42)))
     with pytest.raises(ShapeError, match="must come from 3 robots, got 2"):
-        controller.step(controller.start(good), joined[:2])
+        controller.step(controller.start(good), {name: v[:2] for name, v in good.items()})
 
 
 def test_positions_give_the_distance_from_the_path_that_packets_give() -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from pathlib import Path
 
 import pytest
 import torch
-from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
+from tensordict import TensorDict, TensorDictBase
 
 import aslip
 from aslip.base.archive import as_json
@@ -24,18 +22,9 @@ from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, r
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from aslip.walking import Walker
+from tests.control.helpers import compare_rollouts, small_actions
 from tests.library.bent import symmetric_library
 from tests.library.standing import slower_library, standing_files, standing_library
-
-
-@cache
-def _policy() -> TensorDictModule:
-    """Untrained network with small actions."""
-    torch.manual_seed(4)
-    net = torch.nn.Sequential(torch.nn.Linear(82, 10), torch.nn.Tanh())
-    return TensorDictModule(
-        lambda seen: 0.02 * net(seen), in_keys=["observation"], out_keys=["action"]
-    )
 
 
 def _without_gaits(path: Path) -> Path:
@@ -48,19 +37,21 @@ def _without_gaits(path: Path) -> Path:
 
 
 def _controller(stands: bool = True) -> Controller:
-    return Controller(_policy(), standing_library(), observation=DIRECTION_TABLE, stands=stands)
+    return Controller(
+        small_actions(0.02), standing_library(), observation=DIRECTION_TABLE, stands=stands
+    )
 
 
 @pytest.fixture(scope="module")
 def env() -> StackEnv:
-    return _make()
+    return _make(3)
 
 
-def _make() -> StackEnv:
+def _make(num: int) -> StackEnv:
     return aslip.make_env(
         stack="standing",
         library=standing_library(),
-        num_envs=3,
+        num_envs=num,
         seed=9,
         num_threads=1,
         drop=["low_reward"],
@@ -69,41 +60,26 @@ def _make() -> StackEnv:
 
 
 @torch.no_grad()
-def test_motor_targets_are_those_of_a_stacks_rollout() -> None:
-    """With noise, changes of command and wish, falls, and resets to walk and to stand."""
-    policy, controller, env = _policy(), _controller(), _make()
-    td = env.reset(TensorDict(command=torch.tensor([[0.1, 0, 0.1]] * 3), batch_size=3))
-    state = controller.start(
-        td["sensors"], td["command"], stand=td["stand"], phase=td["phase"], heading=td["heading"]
-    )
-    modes, restarts = set(), []
-    for step in range(90):
+@pytest.mark.parametrize("num", [1, 3])
+def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
+    """With noise, changes of both commands, falls, and resets to walk and to stand."""
+    keys = ("motor_target", "observation", "phase", "mode", "filtered_command")
+
+    def change(step: int, td: TensorDictBase) -> None:
         if step % 20 == 3:
-            td["stand"] = torch.tensor([[step % 40 < 20], [step % 40 > 20], [True]]).float()
-            td["command"] = torch.tensor([[0.002, 0.0, -0.005]] * 3) * step
-        turned = td["heading"]
-        td, following = env.step_and_maybe_reset(policy(td))
-        ours, theirs = state.tensordict, env.transform.inv(td)
-        for key in ("motor_target", "observation", "phase", "mode", "filtered_command"):
-            assert torch.equal(ours[key], theirs[key]), (step, key)
-        modes |= set(ours["mode"].flatten().tolist())
-        restart = td["next", "done"]
-        restarts += following["stand"][restart].tolist()
-        state, _ = controller.step(
-            state,
-            following["sensors"],
-            following["command"],
-            stand=following["stand"],
-            heading=torch.where(restart, following["heading"], turned),
-            restart=restart,
-            phase=following["phase"],
-        )
-        td = following
-    assert modes == {0, 1, 2, 3}
-    assert set(restarts) == {0, 1}
+            stands = [[step % 40 < 20], [step % 40 > 20], [True]]
+            td["stand"] = torch.tensor(stands[:num]).float()
+            td["command"] = torch.tensor([[0.002, 0.0, -0.005]] * num) * step
+
+    first = TensorDict(command=torch.tensor([[0.1, 0, 0.1]] * num), batch_size=num)
+    walk = compare_rollouts(
+        _make(num), small_actions(0.02), _controller(), keys, change, steps=90, first=first
+    )
+    modes = {mode for entries in walk for mode in entries["mode"].flatten().tolist()}
+    assert len(modes) == 4 or num == 1
 
 
-def test_a_wish_stays_until_the_next(env: StackEnv) -> None:
+def test_a_stand_command_stays_until_the_next(env: StackEnv) -> None:
     standing = TensorDict(command=torch.zeros(3, 3), stand=torch.ones(3, 1), batch_size=3)
     packets, controller = env.reset(standing)["sensors"], _controller()
     state = controller.start(packets, [0.2, 0.0, 0.0], stand=True)
@@ -169,7 +145,7 @@ def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> No
     Walker(_without_gaits(path), library=other, seed=0)
 
 
-def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:
+def test_robots_that_cannot_stand_refuse_the_command(env: StackEnv) -> None:
     packets, walking = env.reset()["sensors"], _controller(stands=False)
     state = walking.start(packets, stand=0.0)
     assert "stand" not in state.tensordict
@@ -180,4 +156,4 @@ def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:
     with pytest.raises(ConfigurationError, match="stand must be finite"):
         _controller().start(packets, stand=float("nan"))
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
-        Controller(_policy(), symmetric_library(), stands=True)
+        Controller(small_actions(0.02), symmetric_library(), stands=True)
