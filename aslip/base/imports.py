@@ -17,7 +17,7 @@ _EXTRAS = {
     "gymnasium": "gym",
     "imageio_ffmpeg": "train",
     "matplotlib": "train",
-    "onnx": "export",
+    "onnx": "control",
     "onnxruntime": "control",
     "onnxscript": "export",
     "pydrake": "drake",

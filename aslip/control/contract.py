@@ -3,7 +3,7 @@
 | key | content |
 |---|---|
 | `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default_joint_pos`, `command_names`, `observation_names`, `action_scale` | keys of mjlab, comma-separated, in full precision |
-| `leapp` | inputs, outputs and feedback in the terms of LEAPP's pipeline files, as JSON, with `unit` and `frame` |
+| `interface` | `inputs` and `outputs` of the graph with unit and frame, and `feedback`, as JSON |
 | `aslip` | robot, rates, limits, library, policy and versions, as JSON |
 | `golden_trace` | 200 policy steps, an `.npz` in base64; names of arrays as in gaitkeeper's traces |
 | `sha256` | SHA-256 of all bytes of the file before this entry, which is the last |
@@ -33,9 +33,6 @@ CONTRACT_VERSION: Final = 3
 TOLERANCE: Final = 1e-6
 """Largest difference of a motor target between an exported policy and PyTorch [rad]."""
 
-NODE: Final = "controller"
-"""Name of the graph in the entry `leapp`."""
-
 # fields of a robot in the entry `aslip`; mjlab has keys for motor names and gains
 _ROBOT_FIELDS = (
     *("joint_names", "gear", "torque_limit", "no_load_speed", "torque_delay"),
@@ -57,8 +54,13 @@ class Contract:
     about: Mapping[str, Any]
     """Entry `aslip`: `contract`, `aslip`, `robot`, `library`, `policy`, `baseline`,
     `policy_period`, `motor_lead`, `command_rates`."""
-    interface: Mapping[str, Any]
-    """Entry `leapp`: `models`, with inputs and outputs of the graph, and `pipeline`."""
+    inputs: Sequence[Mapping[str, Any]]
+    """Inputs of the graph: `name`, `dtype`, `shape`, and where they apply `elements`, `unit`,
+    `frame` and `meaning`."""
+    outputs: Sequence[Mapping[str, Any]]
+    """Outputs of the graph, described as the inputs are."""
+    feedback: Mapping[str, str]
+    """Output -> input that takes its value at the next policy step."""
 
     @classmethod
     def of(cls, metadata: Mapping[str, str]) -> Contract:
@@ -67,30 +69,10 @@ class Contract:
         Raises:
             ValueError: an entry is missing or invalid.
         """
-        if lacking := [key for key in ("aslip", "leapp", "joint_names") if key not in metadata]:
+        if lacking := [key for key in ("aslip", "interface", "joint_names") if key not in metadata]:
             raise ValueError(f"its metadata lack {lacking}")
-        about, interface = json.loads(metadata["aslip"]), json.loads(metadata["leapp"])
-        return cls(dict(metadata), about, interface)
-
-    @property
-    def inputs(self) -> list[dict[str, Any]]:
-        """Inputs of the graph: `name`, `dtype`, `shape`, `kind`, `element_names`, `unit`, ..."""
-        return self.interface["models"][NODE]["inputs"]
-
-    @property
-    def outputs(self) -> list[dict[str, Any]]:
-        """Outputs of the graph, described as the inputs are."""
-        return self.interface["models"][NODE]["outputs"]
-
-    @property
-    def feedback(self) -> dict[str, str]:
-        """Output -> input that takes its value at the next policy step."""
-        flow = self.interface["pipeline"]["feedback_flow"]
-        return {
-            source.removeprefix(f"{NODE}/"): target.removeprefix(f"{NODE}/")
-            for source, targets in flow.items()
-            for target in targets
-        }
+        about, interface = json.loads(metadata["aslip"]), json.loads(metadata["interface"])
+        return cls(dict(metadata), about, **interface)
 
     @property
     def observation(self) -> list[str]:

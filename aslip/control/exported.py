@@ -159,8 +159,12 @@ class ExportedController(ControllerBase[ExportedState]):
         parts = split_estimate(rows, self.robot)
         return self._run(inputs | self._commands(given), parts, tracking)
 
-    def verify(self) -> float:
-        """Run the golden trace, and compare its motor targets with PyTorch's.
+    def verify(self, trace: Mapping[str, np.ndarray] | None = None) -> float:
+        """Run a trace, and compare its motor targets with PyTorch's.
+
+        Args:
+            trace: arrays of `aslip.control.export.golden.golden_trace`; by default those in the
+                file.
 
         Returns:
             Largest difference of a motor target from PyTorch's [rad].
@@ -170,7 +174,7 @@ class ExportedController(ControllerBase[ExportedState]):
                 or the observation's entries are not in the order of the contract.
         """
         with explained(self.path, "its golden trace cannot be run: "):
-            trace = self.contract.golden_trace()
+            trace = self.contract.golden_trace() if trace is None else trace
             targets = np.concatenate([step["motor_target"] for step in self._replayed(trace)])
             if targets.shape != trace["target"].shape:
                 raise ValueError(f"targets of shape {trace['target'].shape}, not {targets.shape}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from aslip.control.estimates import split_estimate, standing_estimate
 from aslip.robot import Robot
 
 with extras():
+    import onnx
+    import onnx.numpy_helper
     import onnxruntime
 
 TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
@@ -30,22 +32,14 @@ TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
 _MEMORY = 2**26
 # longest duration of the first run [s]; ours take 1 ms
 _PATIENCE = 10.0
-# fields of ONNX's messages in Protocol Buffers
-_GRAPH, _FUNCTIONS, _TRAINING = 7, 25, 20
-_NODES, _INITIALIZERS, _SPARSE_INITIALIZERS = 1, 5, 15
-_OPERATOR, _ATTRIBUTES, _DOMAIN = 4, 5, 7
-_TENSOR, _SUBGRAPHS, _TENSORS, _SPARSE_TENSORS = 5, (6, 11), 10, (22, 23)
-_KIND, _RAW_DATA = 2, 9
-# field or kind of the numbers of a tensor -> NumPy's type
-_NUMBERS = {4: "<f4", 10: "<f8"}
-_RAW_NUMBERS = {1: "<f4", 10: "<f2", 11: "<f8"}
+_FLOATS = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.DOUBLE)
 
 
 def open_policy(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contract]:
     """Session and contract of a file, checked against the robot and each other."""
     data = read_sealed(path)
     with explained(path):
-        check_graph(data)
+        check_graph(onnx.load_from_string(data))
         session = _session(data)
         contract = Contract.of(session.get_modelmeta().custom_metadata_map)
         difference = contract.difference(robot)
@@ -110,85 +104,37 @@ def _run_once(session: onnxruntime.InferenceSession, contract: Contract) -> None
         timer.cancel()
 
 
-def check_graph(model: bytes) -> None:
-    """Check that a serialised ONNX model has only plain operators, and finite weights.
+def check_graph(model: onnx.ModelProto) -> None:
+    """Check that an ONNX model has only plain operators, and finite weights.
 
     Raises:
         ValueError: it has a loop, a branch, a function or a sparse tensor, each of which can take
             any time or memory; an operator of another domain; or an array with a number that is
             not finite.
     """
-    for field, value in _fields(memoryview(model)):
-        if field in (_FUNCTIONS, _TRAINING):
-            raise ValueError("it has functions of its own")
-        if field == _GRAPH:
-            _check_nodes(value)
-
-
-def _check_nodes(graph: Any) -> None:
-    """Check nodes and weights of a serialised graph."""
-    for field, value in _fields(graph):
-        if field == _SPARSE_INITIALIZERS:
-            raise ValueError("it has sparse tensors")
-        if field == _INITIALIZERS:
-            _check_finite(value)
-        if field != _NODES:
-            continue
-        node = list(_fields(value))
-        operator = b"".join(bytes(v) for f, v in node if f == _OPERATOR).decode()
-        if domain := b"".join(bytes(v) for f, v in node if f == _DOMAIN).decode():
-            raise ValueError(f"it has an operator {operator!r} of {domain!r}, beyond ONNX's own")
-        for attribute in (list(_fields(v)) for f, v in node if f == _ATTRIBUTES):
-            found = {f for f, _ in attribute}
-            if found & {*_SUBGRAPHS, *_SPARSE_TENSORS}:
-                raise ValueError(f"it has an operator {operator!r} with a graph or a sparse tensor")
-            for f, v in attribute:
-                if f in (_TENSOR, _TENSORS):
-                    _check_finite(v)
-
-
-def _check_finite(tensor: Any) -> None:
-    """Check the numbers of a serialised tensor; single constants may be infinite."""
-    fields = list(_fields(tensor))
-    # of several, the last one counts
-    raw = next((_RAW_NUMBERS.get(v) for f, v in reversed(fields) if f == _KIND), None)
-    for field, kind in {**_NUMBERS, _RAW_DATA: raw}.items():
-        parts = [v for f, v in fields if f == field]
-        numbers = np.concatenate([np.frombuffer(v, kind) for v in parts]) if parts and kind else [0]
-        if len(numbers) > 1 and not np.isfinite(numbers).all():
+    graph = model.graph
+    if model.functions or model.training_info:
+        raise ValueError("it has functions of its own")
+    if graph.sparse_initializer:
+        raise ValueError("it has sparse tensors")
+    weights = list(graph.initializer)
+    for node in graph.node:
+        if node.domain:
+            raise ValueError(
+                f"it has an operator {node.op_type!r} of {node.domain!r}, beyond ONNX's own"
+            )
+        for entry in node.attribute:
+            has = (entry.HasField("g"), entry.graphs, entry.HasField("sparse_tensor"))
+            if any(has) or entry.sparse_tensors:
+                raise ValueError(
+                    f"it has an operator {node.op_type!r} with a graph or a sparse tensor"
+                )
+            weights += [entry.t, *entry.tensors]
+    for weight in weights:
+        # single constants may be infinite
+        several = weight.data_type in _FLOATS and math.prod(weight.dims) > 1
+        if several and not np.isfinite(onnx.numpy_helper.to_array(weight)).all():
             raise ValueError("it has weights that are not finite")
-
-
-def _fields(message: Any) -> Iterator[tuple[int, Any]]:
-    """Fields of a message of Protocol Buffers: number, and an integer or the bytes.
-
-    Raises:
-        ValueError: the message is damaged.
-    """
-    place, sizes = 0, {1: 8, 5: 4}
-    while place < len(message):
-        key, place = _integer(message, place)
-        kind = key & 7
-        if kind == 0:
-            value, place = _integer(message, place)
-        elif kind == 2 or kind in sizes:
-            size, place = (sizes[kind], place) if kind in sizes else _integer(message, place)
-            value, place = message[place : place + size], place + size
-        else:
-            raise ValueError("it is no ONNX model")
-        if place > len(message):
-            raise ValueError("it is no ONNX model")
-        yield key >> 3, value
-
-
-def _integer(message: Any, place: int) -> tuple[int, int]:
-    """Integer of variable length at a place, and the place after it."""
-    value = 0
-    for i, byte in enumerate(message[place : place + 10]):
-        value |= (byte & 127) << 7 * i
-        if byte < 128:
-            return value, place + i + 1
-    raise ValueError("it is no ONNX model")
 
 
 def try_steps(controller: Any) -> None:

@@ -76,9 +76,9 @@ _USES = {
     "import aslip.show.live": "viser live",
     "import aslip; aslip.GymEnv": "gymnasium gym",
     "import aslip.envs.gymnasium": "gymnasium gym",
-    "import aslip.control.exported": "onnxruntime control",
-    "from aslip.network.runner.load import _of_export; _of_export('', None)": "onnxruntime control",
-    "from aslip.control.export import export_policy": "onnx export",
+    "import aslip.control.exported": "onnx control",
+    "from aslip.network.runner.load import _of_export; _of_export('', None)": "onnx control",
+    "from aslip.control.export import export_policy": "onnx control",
     "from aslip.network.twin import ENGINES; ENGINES['drake'](None, None)": "pydrake drake",
     "import aslip.training.ray as r; r.RayCollectors(None, None, num_envs=1, samples=1)": "ray ray",
 }

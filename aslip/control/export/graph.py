@@ -35,17 +35,17 @@ _HEADING = "heading frame: z up against gravity, x along the heading"
 _MOVING = "moving frame of aslip.library.Reference"
 _PELVIS = "pelvis"
 
-# entry of an estimate -> LEAPP's kind, unit, frame
+# entry of an estimate -> unit, frame
 _ESTIMATE = {
-    "height": ("state/body/position", "m", "above the ground below the pelvis"),
-    "orientation": ("state/body/rotation", "1", "pelvis to " + _WORLD),
-    "velocity": ("state/body/linear_velocity", "m/s", _WORLD),
-    "angular_velocity": ("state/body/angular_velocity", "rad/s", _PELVIS),
-    "acceleration": ("state/body/linear_acceleration", "m/s^2", _PELVIS + ", without gravity"),
-    "motor_position": ("state/joint/position", "rad", ""),
-    "motor_velocity": ("state/joint/velocity", "rad/s", ""),
-    "joint_position": ("state/joint/position", "rad", ""),
-    "joint_velocity": ("state/joint/velocity", "rad/s", ""),
+    "height": ("m", "above the ground below the pelvis"),
+    "orientation": ("1", "pelvis to " + _WORLD),
+    "velocity": ("m/s", _WORLD),
+    "angular_velocity": ("rad/s", _PELVIS),
+    "acceleration": ("m/s^2", _PELVIS + ", without gravity"),
+    "motor_position": ("rad", ""),
+    "motor_velocity": ("rad/s", ""),
+    "joint_position": ("rad", ""),
+    "joint_velocity": ("rad/s", ""),
 }
 _AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 # last word of the name of any other entry -> unit
@@ -65,8 +65,6 @@ class Entry:
     name: str
     value: Tensor
     """Example (1, k)."""
-    kind: str | None = None
-    """Kind in LEAPP's terms; None if LEAPP has none."""
     elements: tuple[str, ...] = ()
     """Names of the k numbers."""
     unit: str = ""
@@ -74,18 +72,18 @@ class Entry:
     meaning: str = ""
 
     def describe(self) -> dict[str, Any]:
-        """Description as in LEAPP's pipeline files, with unit, frame and meaning."""
-        described: dict[str, Any] = {
+        """Description in the contract."""
+        described = {
             "name": self.name,
             "dtype": str(self.value.dtype).removeprefix("torch."),
             "shape": list(self.value.shape),
-            "type": "tensor",
         }
-        if self.kind is not None:
-            described["kind"] = self.kind
-        if self.elements:
-            described["element_names"] = [None, list(self.elements)]
-        words = {"unit": self.unit, "frame": self.frame, "meaning": self.meaning}
+        words = {
+            "elements": list(self.elements),
+            "unit": self.unit,
+            "frame": self.frame,
+            "meaning": self.meaning,
+        }
         return {**described, **{name: text for name, text in words.items() if text}}
 
 
@@ -217,14 +215,14 @@ class PolicyStep(nn.Module):
         joints = {"motor": robot.motor_names, "joint": robot.joint_names}
         entries = []
         for name, width in robot.estimate_sizes.items():
-            kind, unit, frame = _ESTIMATE[name]
+            unit, frame = _ESTIMATE[name]
             elements = joints.get(name.split("_")[0]) or _AXES.get(width, ())
             value = torch.tensor(standing_estimate(robot)[name][None])
-            entries.append(Entry(name, value, kind, elements, unit, frame))
+            entries.append(Entry(name, value, elements, unit, frame))
         command, phase = torch.zeros(1, size), torch.zeros(1, 1)
         entries += [
             _HEADING_INPUT,
-            Entry("command", command, "command/body/velocity", _axes(size), "m/s, rad/s", _MOVING),
+            Entry("command", command, _axes(size), "m/s, rad/s", _MOVING),
             Entry("first", torch.ones(1, 1, dtype=torch.bool), meaning="first step of the robot"),
             Entry("last_phase", phase, meaning="stride fraction; at a first step to begin at"),
             Entry("last_action", found["action"], elements=robot.motor_names, unit="rad"),
@@ -260,7 +258,6 @@ _PATH_INPUTS = (
     Entry(
         POSITION,
         _ZEROS[:, :3],
-        "state/body/position",
         ("x", "y", "z"),
         "m",
         _WORLD,
@@ -286,30 +283,28 @@ def _output(name: str, value: Tensor, robot: Robot) -> Entry:
     """Describe an output of the graph."""
     motors = robot.motor_names
     known = {
-        "motor_target": Entry(name, value, "target/joint/position", motors, "rad"),
-        "action": Entry(name, value, None, motors, "rad", meaning="added to the baseline"),
+        "motor_target": Entry(name, value, motors, "rad"),
+        "action": Entry(name, value, motors, "rad", meaning="added to the baseline"),
         "observation": Entry(name, value, meaning="entries of observation_names, in order"),
         "nearest_command": Entry(name, value, meaning="command moved into the library's region"),
         "phase": Entry(name, value, meaning="stride fraction; 0 is left lift-off"),
         "heading": Entry(name, value, unit="rad", frame=_WORLD, meaning="yaw straight ahead"),
         "mode": Entry(name, value, meaning=_MODES),
-        "filtered_command": Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s"),
-        "estimate": Entry(
-            name, value, None, frame=_HEADING, meaning="entries of the estimate, in order"
-        ),
+        "filtered_command": Entry(name, value, _axes(value.shape[-1]), "m/s, rad/s"),
+        "estimate": Entry(name, value, frame=_HEADING, meaning="entries of the estimate, in order"),
     }
     if name in known:
         return known[name]
     seen = name.removeprefix("observed/")
     if seen == "last_action":
-        return Entry(name, value, None, motors, "rad")
+        return Entry(name, value, motors, "rad")
     if seen in ("command", "filtered_command"):
-        return Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s")
+        return Entry(name, value, _axes(value.shape[-1]), "m/s, rad/s")
     last = name.split("_")[-1]
     if name.startswith("reference/motor"):
-        return Entry(name, value, None, motors, _MOTOR_UNITS[last])
+        return Entry(name, value, motors, _MOTOR_UNITS[last])
     elements = () if name.startswith("clock/") else _AXES.get(value.shape[-1], ())
-    return Entry(name, value, None, elements, _UNITS.get(last, ""), _frame(name))
+    return Entry(name, value, elements, _UNITS.get(last, ""), _frame(name))
 
 
 def _frame(name: str) -> str:
@@ -354,7 +349,7 @@ def trace_graph(
     _strip(model)
     onnx.checker.check_model(model)
     try:
-        check_graph(model.SerializeToString())
+        check_graph(model)
     except ValueError as error:
         raise ConfigurationError(f"the policy cannot be exported: {error}") from error
     return model
