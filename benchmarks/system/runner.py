@@ -158,7 +158,7 @@ def lossy_walk(
     robot = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
     states = LossyWay(robot, client, config.loss, jitter, rng)
     commands = LossyWay(client, robot, config.loss, jitter, rng)
-    supervisor = Supervisor(loaded.controller, loaded.pose, command_size=loaded.command_size)
+    supervisor = Supervisor(loaded.controller)
     source, twin = Scheduled(Schedule.parse(str(speed))), TwinRobot()
     run = Run(supervisor, StateReadings(), source, say=lambda _: None)
     held, heard = PD_IN.zeros(), 0
@@ -234,7 +234,7 @@ def runner(config: Config, port: str, *options: str) -> Program:
     """Start a runner that walks the twin at a port."""
     words = ("--policy", config.policy, "--port", port, "--local-port", "0")
     words += ("--command", str(config.speed), "--priority", str(config.priority))
-    return Program("aslip.control", *words, *options)
+    return Program("aslip.network.runner", *words, *options)
 
 
 def real_time(config: Config) -> str:

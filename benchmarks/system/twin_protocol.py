@@ -119,7 +119,7 @@ def wrong_packets(packet: Packet, config: Config, rng: np.random.Generator) -> i
         for place in packet.places:
             if place.kind == "?":
                 raw[:, place.offset] &= 1
-        records = packet.decode(raw)
+        records = np.stack([packet.unpack(row.tobytes()) for row in raw])
         packed = np.frombuffer(packet.pack(records), np.uint8).reshape(raw.shape)
         good = (packed == raw).all(axis=1)
         for place in packet.places:

@@ -85,10 +85,10 @@ def test_the_pose_is_that_of_the_reference_in_place(
 
 def test_a_runner_walks_with_the_file_as_with_the_policy(file: Path) -> None:
     ours, theirs = load(file), load("straight")
-    np.testing.assert_allclose(ours.pose, theirs.pose, atol=1e-6)
+    np.testing.assert_allclose(ours.controller.pose, theirs.controller.pose, atol=1e-6)
     targets = []
     for loaded in (ours, theirs):
-        supervisor = Supervisor(loaded.controller, loaded.pose)
+        supervisor = Supervisor(loaded.controller)
         readings = [Reading(0.03 * k, standing_estimate(), np.ones(16) * 0.4) for k in range(5)]
         requests = [Request(0.5, yaw_rate=0.3)] * 5
         ticks = [supervisor.tick(r.time, r, q) for r, q in zip(readings, requests, strict=True)]

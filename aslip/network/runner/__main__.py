@@ -98,13 +98,14 @@ def main(config: Config) -> None:
     link = Link(readings.sends, readings.receives, refuse_not_finite=False)
     peer = Address(config.host, config.port)
     local, beyond = local_address(peer, config.local_port)
-    with source, _endpoint(link, local, peer, beyond) as endpoint:
+    with source, Endpoint(link, local, peer, beyond_loopback=beyond) as endpoint:
         loaded = load(config.policy, config.library)
-        if isinstance(source, Scheduled) and source.sideways and loaded.command_size == 1:
+        controller = loaded.controller
+        if isinstance(source, Scheduled) and source.sideways and controller.command_size == 1:
             raise ConfigurationError(f"the policy {config.policy!r} cannot walk sideways")
-        if isinstance(source, Scheduled) and source.stands and not loaded.stands:
-            raise ConfigurationError(f"the policy {config.policy!r} cannot stand on a wish")
-        supervisor = make_supervisor(loaded, limits)
+        if isinstance(source, Scheduled) and source.stands and not controller.stands:
+            raise ConfigurationError(f"the policy {config.policy!r} cannot stand")
+        supervisor = Supervisor(controller, limits)
         say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)
         run = Run(supervisor, readings, source, log=log, say=say)
@@ -150,12 +151,6 @@ def make_limits(config: Config) -> Limits:
     return Limits(ramp=ramp, tilt=config.tilt)
 
 
-def make_supervisor(loaded: Loaded, limits: Limits) -> Supervisor:
-    """Supervisor of a loaded controller."""
-    size, stands = loaded.command_size, loaded.stands
-    return Supervisor(loaded.controller, loaded.pose, limits, command_size=size, stands=stands)
-
-
 def local_address(robot: Address, port: int) -> tuple[Address, bool]:
     """Local address with a route to the robot, and True if it is beyond loopback.
 
@@ -188,9 +183,7 @@ def replay_log(path: Path) -> None:
     from aslip.network.runner.record import replay
 
     with tempfile.TemporaryDirectory() as folder:
-        result = replay(
-            path, lambda files, limits: make_supervisor(load(*files), limits), Path(folder)
-        )
+        result = replay(path, lambda files: load(*files).controller, Path(folder))
     said = f"{path}: {result.ticks} policy steps, {result.walked} of them walked"
     if result.different:
         first = f"the first at {result.first:.2f} s"
@@ -216,16 +209,6 @@ def damping_signals(run: Run) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _endpoint(link: Link, local: Address, peer: Address, beyond: bool) -> Endpoint:
-    """Open the socket to the robot; an error names the option that changes the port."""
-    try:
-        return Endpoint(link, local, peer, beyond_loopback=beyond)
-    except NetworkError as error:
-        raise NetworkError(
-            f"{error} with --local-port; it may be a runner, and a robot obeys only one"
-        ) from error
 
 
 def _open_log(config: Config, loaded: Loaded, readings: Readings, limits: Limits) -> RunLog | None:

@@ -13,7 +13,7 @@ import select
 import socket
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Final, Self
 
 from aslip.base.command_line import Reports, say
 from aslip.errors import ConfigurationError, NetworkError
@@ -32,10 +32,11 @@ AXES: Final = ("forward", "sideways", "yaw_rate")
 """Components of a command, as entries of a request."""
 
 
-class Source(Protocol):
+class Source:
     """Source of requests, a context manager."""
 
-    def __enter__(self) -> Source: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *error: object) -> None: ...
 
@@ -46,10 +47,10 @@ class Source(Protocol):
             time: time since the start of the program [s].
             walking: time since the start of the walk [s]; negative before.
         """
-        ...
+        raise NotImplementedError
 
 
-class Scheduled:
+class Scheduled(Source):
     """Requests for the commands of a schedule over the time of the walk, then for a stop.
 
     Args:
@@ -63,11 +64,6 @@ class Scheduled:
         """Whether a command goes sideways."""
         self.stands = any(schedule.stands)
         """Whether the robot shall stand."""
-
-    def __enter__(self) -> Scheduled:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...
 
     def request(self, time: float, walking: float) -> Request:
         """Request for the command that is due."""
@@ -98,7 +94,7 @@ _CHANGES = {
 }
 
 
-class Keyboard:
+class Keyboard(Source):
     """Requests by keys of a terminal, see `KEYS`; its settings are restored at the end.
 
     Args:
@@ -118,7 +114,7 @@ class Keyboard:
         self._request = Request(walk=False)
         self._settings: list[Any] | None = None
 
-    def __enter__(self) -> Keyboard:
+    def __enter__(self) -> Self:
         import termios
         import tty
 
@@ -167,7 +163,7 @@ def press(request: Request, key: str) -> Request:
     return request
 
 
-class Datagrams:
+class Datagrams(Source):
     """Requests as JSON in UDP datagrams on loopback; the newest one applies.
 
     A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
@@ -200,9 +196,6 @@ class Datagrams:
             ) from error
         self.port: int = self._socket.getsockname()[1]
         """Port at which commands arrive."""
-
-    def __enter__(self) -> Datagrams:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._socket.close()

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from aslip.base.assets import asset_path, user_path
+from aslip.control.base import ControllerBase
 from aslip.control.estimates import standing_estimate
 from aslip.errors import AslipError, ConfigurationError
-from aslip.network.runner.supervisor import MotorController
 from aslip.robot import CASSIE
 
 _WARM_UP = 5
 
 
 class Loaded(NamedTuple):
-    """Controller, its settings for the supervisor, and its files."""
+    """Controller and its files."""
 
-    controller: MotorController
+    controller: ControllerBase[Any]
     """Controller, warmed up."""
-    pose: np.ndarray
-    """Motor angles (10,) of its reference in place, at the start of a stride [rad]."""
-    command_size: int
-    """Number of components of its command."""
-    stands: bool
-    """True if it stands on a wish."""
     files: dict[str, bytes]
     """Contents of the files that `load` read, by name."""
 
@@ -59,7 +53,7 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
     return loaded
 
 
-def warm_up(controller: MotorController) -> None:
+def warm_up(controller: ControllerBase[Any]) -> None:
     """Take some steps with the estimate of a standing robot, and check the motor targets.
 
     Raises:
@@ -81,9 +75,7 @@ def _of_export(path: Path, library: str | Path | None) -> Loaded:
 
     controller = ExportedController(path, library=None if library is None else str(library))
     controller.verify()
-    files = {"policy.onnx": path.read_bytes()}
-    size, stands = controller.command_size, controller.stands
-    return Loaded(controller, controller.pose, size, stands, files)
+    return Loaded(controller, {"policy.onnx": path.read_bytes()})
 
 
 def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
@@ -106,8 +98,5 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
             f"the policy {str(policy)!r} needs the library {needed!r}, got {library!r}"
         )
     file = asset_path(f"{library}.npz") if library in SHIPPED else user_path(library)
-    gaits = GaitLibrary.load(library)
-    controller = Controller(path, gaits)
-    pose = controller.steering.pose().double().numpy()
-    files = {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()}
-    return Loaded(controller, pose, gaits.command_size, controller.steering.stands, files)
+    controller = Controller(path, GaitLibrary.load(library))
+    return Loaded(controller, {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()})

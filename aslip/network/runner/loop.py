@@ -18,6 +18,7 @@ from aslip.network.runner.commands import Source
 from aslip.network.runner.readings import Readings
 from aslip.network.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.network.wire import Arrival, Endpoint, MotorCommand
+from aslip.robot import CASSIE
 
 if TYPE_CHECKING:
     from aslip.network.runner.record import RunLog
@@ -81,7 +82,6 @@ class Run:
         source: source of the operator's requests.
         log: log to write; None for no log.
         say: function that prints a line without waiting.
-        chatty: print a line per second.
     """
 
     def __init__(
@@ -92,7 +92,6 @@ class Run:
         *,
         log: RunLog | None = None,
         say: Callable[[str], object] = say,
-        chatty: bool = True,
     ) -> None:
         self.supervisor, self.readings, self.source = supervisor, readings, source
         self.tally = Tally()
@@ -101,11 +100,11 @@ class Run:
         """Reason from outside to damp the motors, such as a signal; empty for none."""
         self.walked = 0.0
         """Time in which the policy has acted [s]."""
-        self._log, self._say, self._chatty = log, say, chatty
+        self._log, self._say = log, say
         self._walk_began = float("inf")
         self._newest: tuple[int, Arrival] | None = None
         self._request, self._reading = Request(), None
-        self._command = MotorCommand(*np.zeros((5, len(supervisor.robot.motor_names))))
+        self._command = MotorCommand(*np.zeros((5, len(CASSIE.motor_names))))
         self._next_line = 1.0
 
     @property
@@ -138,7 +137,7 @@ class Run:
         if self.supervisor.stage is not before:
             self._enter(time_ns)
         if self.supervisor.stage in (Stage.WALK, Stage.STOP):
-            self.walked += self.supervisor.robot.policy_period
+            self.walked += CASSIE.policy_period
         return self._command
 
     def finish_tick(self, time_ns: int, lateness: float, reply: float) -> None:
@@ -163,8 +162,7 @@ class Run:
             )
         if time_ns / _NS >= self._next_line:
             self._next_line += 1.0
-            if self._chatty:
-                self._say(self._line(time_ns / _NS))
+            self._say(self._line(time_ns / _NS))
 
     def close(self) -> None:
         """Finish the log."""
@@ -193,10 +191,7 @@ class Run:
         if reading is None or self.supervisor.stage is Stage.CONNECT:
             return f"{line}: {self.supervisor.reason}"
         speed = float(np.hypot(*reading.estimate["velocity"][:2]))
-        height = float(reading.estimate["height"][0])
-        if self.supervisor.stage is Stage.WALK:
-            line += f", commanded {self._request.forward:.2f} m/s"
-        return f"{line}, moves at {speed:.2f} m/s, pelvis at {height:.2f} m"
+        return f"{line}, commanded {self._request.forward:.2f} m/s, moves at {speed:.2f} m/s"
 
 
 def take_priority(priority: int) -> None:
@@ -237,7 +232,7 @@ def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> No
     Raises:
         NetworkError: the robot does not answer.
     """
-    origin, period = time.monotonic_ns(), round(run.supervisor.robot.policy_period * _NS)
+    origin, period = time.monotonic_ns(), round(CASSIE.policy_period * _NS)
 
     def clock() -> int:
         return time.monotonic_ns() - origin
@@ -296,8 +291,8 @@ def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> Non
     Raises:
         NetworkError: the robot does not answer.
     """
-    robot, link = run.supervisor.robot, endpoint.link
-    tick_ns, ticks = round(robot.physics_timestep * _NS), 0
+    link = endpoint.link
+    tick_ns, ticks = round(CASSIE.physics_timestep * _NS), 0
     command = run.command
 
     def advance() -> None:
@@ -315,7 +310,7 @@ def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> Non
         run.tally.lateness.append(0.0)
         run.tally.reply.append(reply)
         run.tally.work.append(time.monotonic() - began)
-        for _ in range(robot.substeps):
+        for _ in range(CASSIE.substeps):
             advance()
 
 

@@ -7,7 +7,7 @@ PD law run here.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,13 +20,12 @@ from aslip.network.wire import (
     STATE_OUT,
     USER_IN,
     MotorCommand,
-    Packet,
     cassie_out_to_sensors,
     command_to_pd_in,
     state_out_to_estimate,
     torque_to_user_in,
 )
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE
 from aslip.robot.robot import is_possible
 
 if TYPE_CHECKING:
@@ -38,15 +37,15 @@ _LONGEST_GAP = 40
 _ESTIMATED = {"gyro": "angular_velocity", "accelerometer": "acceleration"}
 
 
-class Readings(Protocol):
-    """Interpretation of a robot's packets in one mode."""
+class StateReadings:
+    """Readings from packets `state_out_t` of robots that estimate their own state."""
 
-    receives: Packet
-    """Kind of packets from the robot."""
-    sends: Packet
-    """Kind of packets to the robot."""
-    newest_only: bool
+    receives, sends = STATE_OUT, PD_IN
+    newest_only = True
     """True if only the newest of several packets matters."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[float, np.ndarray] | None = None
 
     def take(self, time: float, step: int, record: np.ndarray) -> None:
         """Take a packet.
@@ -56,27 +55,6 @@ class Readings(Protocol):
             step: difference of its sequence number from that of the last packet; 0 for the first.
             record: packet.
         """
-        ...
-
-    def newest(self) -> Reading | None:
-        """Reading from the packets since the last call; None without any."""
-        ...
-
-    def answer(self, command: MotorCommand) -> np.ndarray:
-        """Packet to the robot that carries out a command now."""
-        ...
-
-
-class StateReadings:
-    """Readings from packets `state_out_t` of robots that estimate their own state."""
-
-    receives, sends, newest_only = STATE_OUT, PD_IN, True
-
-    def __init__(self) -> None:
-        self._newest: tuple[float, np.ndarray] | None = None
-
-    def take(self, time: float, step: int, record: np.ndarray) -> None:
-        """Take a packet."""
         self._newest = time, record
 
     def newest(self) -> Reading | None:
@@ -107,18 +85,15 @@ class SensorReadings:
     the six. Lost packets are noticed by their sequence numbers. Until all readings of a packet are
     finite and possible, estimates from the others are NaN.
 
-    Args:
-        robot: robot that sends the packets.
     """
 
     receives, sends, newest_only = CASSIE_OUT, USER_IN, False
 
-    def __init__(self, robot: Robot = CASSIE) -> None:
+    def __init__(self) -> None:
         # imported late: compiled by Numba, and not needed in PD mode
         from aslip.estimation import StateEstimator
 
-        self.robot = robot
-        self._estimator = StateEstimator(robot)
+        self._estimator = StateEstimator()
         self._tracking: Tracking | None = None
         self._estimate: Estimate | None = None
         self._tick = 0
@@ -127,12 +102,12 @@ class SensorReadings:
         self._arrived: float | None = None
         self._lost: list[str] = []
         # compiled functions load at their first call, which takes seconds
-        tracking, _ = self._estimator.start(np.full(robot.packet_size, np.nan))
+        tracking, _ = self._estimator.start(np.full(CASSIE.packet_size, np.nan))
         self._estimator.update(tracking, None)
 
     def take(self, time: float, step: int, record: np.ndarray) -> None:
         """Take a packet; estimate the state if it completes a packet of the estimator."""
-        every = self.robot.packet_substeps
+        every = CASSIE.packet_substeps
         self._arrived, self._record = time, record
         if self._tracking is None:
             self._start(cassie_out_to_sensors(record))
@@ -158,7 +133,7 @@ class SensorReadings:
     def answer(self, command: MotorCommand) -> np.ndarray:
         """Torques of the PD law at the newest packet; zero before the first one."""
         if self._record is None:
-            return torque_to_user_in(np.zeros(len(self.robot.motor_names)))
+            return torque_to_user_in(np.zeros(len(CASSIE.motor_names)))
         legs = [self._record[f"{side}_leg"]["drives"] for side in ("left", "right")]
         position, velocity = (
             np.concatenate([leg[kind] for leg in legs]) for kind in ("position", "velocity")
@@ -184,3 +159,7 @@ class SensorReadings:
             sensors["accelerometer"] = mean + 0 * sensors["accelerometer"]
             self._force.clear()
         self._estimate = self._estimator.update(self._tracking, sensors)
+
+
+Readings = StateReadings | SensorReadings
+"""Interpretation of a robot's packets in one mode."""

@@ -14,7 +14,7 @@ later.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,13 +24,20 @@ import numpy as np
 
 import aslip
 from aslip.base.provenance import commit, versions
+from aslip.control.base import ControllerBase
 from aslip.errors import AslipError, FileDamagedError, machine_failed
 from aslip.log import messages, read
 from aslip.log.messages import MessageType
 from aslip.log.template import Marks, Template
 from aslip.log.writer import LogWriter
 from aslip.network.runner.readings import Readings, SensorReadings, StateReadings
-from aslip.network.runner.supervisor import Limits, Reading, Request, Stage, Supervisor
+from aslip.network.runner.supervisor import (
+    Limits,
+    Reading,
+    Request,
+    Stage,
+    Supervisor,
+)
 from aslip.network.wire import ESTIMATE_ENTRIES, MotorCommand, Packet
 
 RAW: Final = "raw"
@@ -184,12 +191,12 @@ class Replayed(NamedTuple):
     """Time of the first different policy step [s]; NaN if none differs."""
 
 
-def replay(path: Path, make: Any, files: Path) -> Replayed:
+def replay(path: Path, make: Callable[[list[Path]], ControllerBase[Any]], files: Path) -> Replayed:
     """Repeat a run from the packets and requests of its log.
 
     Args:
         path: log.
-        make: function of the files of the policy and the limits that makes a supervisor.
+        make: function of the files of the policy that makes a controller.
         files: folder to which the files of the policy are written.
 
     Raises:
@@ -212,7 +219,7 @@ def replay(path: Path, make: Any, files: Path) -> Replayed:
             raise ValueError(f"its files are {names}, not one of {_LOADED}")
         for name in names:
             (files / name).write_bytes(recording.attachment(name))
-        supervisor = make([files / name for name in names], limits)
+        supervisor = Supervisor(make([files / name for name in names]), limits)
         return _compare(recording.series, supervisor, data[RAW] == "True")
     except Exception as error:  # a log of a stranger may fail in many ways
         if isinstance(error, AslipError) or machine_failed(error):

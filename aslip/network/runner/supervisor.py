@@ -10,14 +10,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from aslip.control.base import ControllerBase
 from aslip.control.estimates import lost_entries
 from aslip.errors import ConfigurationError
 from aslip.network.wire import STOP_CHANNEL, MotorCommand
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 
 SWITCH_CHANNEL: Final = 9
@@ -28,31 +29,6 @@ _THROWN = 0.5
 _STOPPED = "stopped by the operator"
 # tolerance of durations [s]: policy steps add up to 0.8999999 s
 _ROUNDING = 1e-9
-
-
-class MotorController(Protocol):
-    """Controller of one robot that estimates its own state; see `aslip.Controller`.
-
-    States have `motor_target`, (1, 10) angles [rad], as an array or a tensor.
-    """
-
-    def start(
-        self, packets: Any, command: Any = 0.0, *, heading: Any = None, stand: Any = 0.0
-    ) -> Any:
-        """Start with an estimate; return a state."""
-        ...
-
-    def step(
-        self,
-        state: Any,
-        packets: Any,
-        command: Any = None,
-        *,
-        heading: Any = None,
-        stand: Any = None,
-    ) -> tuple[Any, Any]:
-        """Advance by a policy step; return a new state and its motor targets."""
-        ...
 
 
 class Stage(Enum):
@@ -140,27 +116,17 @@ class Limits:
 class Supervisor:
     """Decide at each policy step which motor command the robot gets.
 
+    A policy with a forward speed only walks turns because the supervisor turns its heading. The
+    first step of a policy that stands is to stand.
+
     Args:
-        controller: controller such as `aslip.Controller`.
-        pose: motor angles (10,) in which the walk begins after a slow start-up [rad].
+        controller: controller such as `aslip.Controller`; the walk begins in its pose after a slow
+            start-up.
         limits: durations and limits.
-        command_size: 1 for policies with a forward speed only, whose heading the supervisor turns;
-            3 for forward speed, sideways speed and yaw rate.
-        stands: True for policies that stand on a wish; the first step of their walk is to stand.
-        robot: robot that gives gains and the policy period.
     """
 
-    def __init__(
-        self,
-        controller: MotorController,
-        pose: np.ndarray,
-        limits: Limits | None = None,
-        *,
-        command_size: int = 1,
-        stands: bool = False,
-        robot: Robot = CASSIE,
-    ) -> None:
-        self.robot, self.limits = robot, limits or Limits()
+    def __init__(self, controller: ControllerBase[Any], limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
         self.stage = Stage.CONNECT
         """Present stage."""
         self.reason = "no packet yet"
@@ -169,8 +135,7 @@ class Supervisor:
         """Time at which the present stage began [s]."""
         self.reading: Reading | None = None
         """Last reading."""
-        self._controller, self._pose, self._size = controller, np.array(pose), command_size
-        self._stands = stands
+        self._controller, self._pose = controller, np.array(controller.pose)
         self._hold = self._pose
         self._state: Any = None
         self._heading = 0.0
@@ -277,22 +242,23 @@ class Supervisor:
     def _walked(self, reading: Reading | None, request: Request) -> np.ndarray:
         """Motor targets (10,) of the policy's next step."""
         in_place = self.stage is Stage.STOP or request.stand
-        wish = {"stand": in_place or self._state is None} if self._stands else {}
+        controller, forward_only = self._controller, self._controller.command_size == 1
+        stand = {"stand": in_place or self._state is None} if controller.stands else {}
         command = (0.0,) * 3 if in_place else (request.forward, request.sideways, request.yaw_rate)
-        wanted = command if self._size > 1 else command[0]
+        wanted = command[0] if forward_only else command
         if self._state is None:
             assert self.reading is not None
             self._heading = float(yaw(self.reading.estimate["orientation"]))
-            self._state = self._controller.start(
-                self.reading.estimate, wanted, heading=self._heading, **wish
+            self._state = controller.start(
+                self.reading.estimate, wanted, heading=self._heading, **stand
             )
         else:
             estimate = None if reading is None else reading.estimate
-            turned = self._heading + command[2] * self.robot.policy_period
-            heading = turned if self._size == 1 and command[2] else None
-            self._heading = self._heading if heading is None else heading
-            self._state, _ = self._controller.step(
-                self._state, estimate, wanted, heading=heading, **wish
+            turns = forward_only and command[2] != 0
+            self._heading += command[2] * CASSIE.policy_period if turns else 0.0
+            heading = self._heading if turns else None
+            self._state, _ = controller.step(
+                self._state, estimate, wanted, heading=heading, **stand
             )
         target = np.asarray(self._state.motor_target, dtype=np.float64).reshape(-1)
         if target.shape != self._pose.shape or not np.isfinite(target).all():
@@ -314,24 +280,18 @@ class Supervisor:
     def _pd(self, target: np.ndarray, stiffness: float = 1.0, damping: float = 1.0) -> MotorCommand:
         """Command of target angles (10,), with fractions of the robot's gains."""
         zero = np.zeros(len(target))
-        robot = self.robot
         return MotorCommand(
-            zero, target, zero, stiffness * robot.stiffness, damping * robot.damping
+            zero, target, zero, stiffness * CASSIE.stiffness, damping * CASSIE.damping
         )
 
 
 def _lost(estimate: Mapping[str, np.ndarray]) -> str:
-    """Entries of an estimate that are not finite, or else those that no robot can have, in words.
-
-    Empty if there are none.
-    """
-    lost = lost_entries(estimate)
-    if missing := [name for name in lost if not np.isfinite(estimate[name]).all()]:
-        return f"estimates are not finite: {', '.join(missing)}"
-    values = (
-        f"{name} is {np.round(estimate[name].astype(np.float64), 3).tolist()}" for name in lost
-    )
-    return f"estimates are impossible: {', '.join(values)}" if lost else ""
+    """Entries of an estimate that no robot can have, as text; empty for none."""
+    lost = {
+        name: np.round(estimate[name].astype(np.float64), 3).tolist()
+        for name in lost_entries(estimate)
+    }
+    return f"estimates are lost or impossible: {lost}" if lost else ""
 
 
 def tilt(orientation: np.ndarray) -> float:

@@ -8,8 +8,8 @@
 
 In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
 after the tick. In real time the robot stands still until a command has torques or gains, holds the
-last command, and drops it after a silence. At the end the numbers of ticks and datagrams are
-printed.
+last command, and is damped after a silence of 0.1 s, in raw mode 10 ms. At the end the numbers of
+ticks and datagrams are printed.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from aslip.network.wire import (
     Endpoint,
     Link,
 )
+from aslip.robot import CASSIE
 
 if TYPE_CHECKING:
     from aslip.network.twin.page import TwinPage
@@ -55,11 +56,6 @@ class Config:
     estimate."""
     real_time: bool = False
     """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
-    fallback: Literal["damping", "zero"] = "damping"
-    """Command in real time after a silence of 0.1 s, in raw mode 10 ms; the robot uses zero."""
-    radio: bool = False
-    """Read the operator's radio from the terminal, one "CHANNEL VALUE" per line: "8 -1" is the
-    emergency stop, "8 1" releases it."""
     live: bool = False
     """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
     page_port: int = 8080
@@ -75,11 +71,8 @@ def main(config: Config) -> None:
         # imported late: a port in use is reported at once
         from aslip.network.twin import ENGINES, TwinRobot
         from aslip.network.twin.page import TwinPage
-        from aslip.network.twin.radio import read_radio
 
         robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
-        if config.radio:
-            read_radio(robot)
         page = TwinPage(robot, config.address, config.page_port) if config.live else None
         try:
             with contextlib.suppress(KeyboardInterrupt), signals_exit():
@@ -97,7 +90,7 @@ def serve(config: Config, robot: TwinRobot, endpoint: Endpoint, page: TwinPage |
 
     server = None
     if config.real_time:
-        server = RealTimeServer(robot, endpoint, fallback=config.fallback, say=say)
+        server = RealTimeServer(robot, endpoint, say=say)
 
     def stop() -> bool:
         if page is not None:
@@ -118,7 +111,7 @@ def serve(config: Config, robot: TwinRobot, endpoint: Endpoint, page: TwinPage |
 def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -> dict[str, str]:
     """Lines of text on the page."""
     shown = {
-        "time": f"{robot.ticks * robot.robot.physics_timestep:.2f} s since it was set on its feet",
+        "time": f"{robot.ticks * CASSIE.physics_timestep:.2f} s since it was set on its feet",
         "client": "none yet" if endpoint.peer is None else str(endpoint.peer),
     }
     return shown if server is None else {**shown, "real time": str(server.load)}

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 from aslip.base.command_line import Reports
 from aslip.errors import NetworkError
 from aslip.network.twin.robot import TwinRobot
 from aslip.network.wire import Address, Endpoint
 from aslip.network.wire.endpoint import SILENCE
-
-Fallback = Literal["damping", "zero"]
-"""Command after a silence: damping gains alone, or zeros as on the robot."""
+from aslip.robot import CASSIE
 
 PATIENCE: Final = {"pd_in_t": 0.1, "cassie_user_in_t": 0.01}
 """Longest silence of a client [s] after which the robot drops its command, by kind of command."""
@@ -68,9 +67,8 @@ class RealTimeServer:
     Args:
         robot: robot to advance; it is set on its feet.
         endpoint: socket at which commands arrive.
-        fallback: command after a silence.
-        say: function that is called with a line of text when a client comes, goes or is refused, of
-            each kind once a second at most; it must not wait.
+        say: function that is called with a line of text when a client comes or goes, of each kind
+            once a second at most; it must not wait.
         clock: monotonic clock [s].
         sleep: function that waits for a time [s].
     """
@@ -80,16 +78,15 @@ class RealTimeServer:
         robot: TwinRobot,
         endpoint: Endpoint,
         *,
-        fallback: Fallback = "damping",
         say: Callable[[str], object] = lambda text: None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         self.robot, self.load = robot, Load()
-        self._endpoint, self._fallback = endpoint, fallback
+        self._endpoint = endpoint
         self._reports = Reports(say, clock)
         self._clock, self._sleep = clock, sleep
-        self._period = robot.robot.physics_timestep
+        self._period = CASSIE.physics_timestep
         self._patience = round(PATIENCE[robot.receives.name] / self._period)
         self._most_behind = MOST_BEHIND[robot.receives.name]
         self._gone = round(SILENCE / self._period)
@@ -97,10 +94,8 @@ class RealTimeServer:
         self._silent, self._heard = 0, clock()
         self._dropped = self._said = False
         self._client: Address | None = None
-        self._refused = 0
-        self._unsent = ""
         # compiled functions load at their first call
-        for _ in range(robot.robot.packet_substeps + 1):
+        for _ in range(CASSIE.packet_substeps + 1):
             robot.tick()
         robot.reset()
 
@@ -128,10 +123,6 @@ class RealTimeServer:
         """Take the newest command, advance by a tick, and answer."""
         robot, endpoint = self.robot, self._endpoint
         command = endpoint.receive()
-        refused, self._refused = self._refused, endpoint.link.counters.foreign
-        if count := self._refused - refused:
-            text = f"{endpoint.foreign} is not heard while {endpoint.peer} is the client"
-            self._reports.add("refused", text, count)
         if command is None:
             self._wait()
         else:
@@ -141,12 +132,8 @@ class RealTimeServer:
         record = robot.answer() if held else robot.tick()
         self.load.ticks += 1
         if endpoint.peer is not None:
-            try:
+            with contextlib.suppress(NetworkError):  # no route for now
                 endpoint.send(record)
-            except NetworkError as error:
-                if str(error) != self._unsent:
-                    self._unsent = str(error)
-                    self._reports.add("unsent", self._unsent)
         self._reports.say()
 
     def _wait(self) -> None:
@@ -158,10 +145,10 @@ class RealTimeServer:
             self._dropped = not self.robot.idle
             self.load.silences += self._dropped
             if self._dropped:
-                self.robot.let_go(damp=self._fallback == "damping")
+                self.robot.damp()
         if silent >= self._gone and self._dropped and not self._said:
             self._said = True
-            silence = f"{1e3 * SILENCE:.0f} ms: {self._fallback}"
+            silence = f"{1e3 * SILENCE:.0f} ms: damping"
             self._reports.add("silence", f"no command from {self._client} for {silence}")
 
     def _greet(self) -> None:

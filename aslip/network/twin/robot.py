@@ -25,7 +25,7 @@ from aslip.network.wire import (
     sensors_to_cassie_out,
     user_in_to_torque,
 )
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE
 from aslip.sim import true_state
 
 
@@ -47,20 +47,11 @@ class TwinRobot:
     A simulation that diverges restarts from standing, and so does its estimate.
 
     Args:
-        robot: robot that is simulated.
         make_engine: function of robot and drive that makes the simulation; by default MuJoCo's.
         raw: raw mode, with torques and sensor readings instead of PD commands and estimates.
     """
 
-    def __init__(
-        self,
-        robot: Robot = CASSIE,
-        make_engine: MakeEngine = mujoco_engine,
-        *,
-        raw: bool = False,
-    ) -> None:
-        self.robot = robot
-        """Robot that is simulated."""
+    def __init__(self, make_engine: MakeEngine = mujoco_engine, *, raw: bool = False) -> None:
         self.ticks = 0
         """Ticks since the robot was set on its feet."""
         self.receives, self.sends = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
@@ -69,15 +60,15 @@ class TwinRobot:
         stop, the motors get no torque."""
         self.radio[STOP_CHANNEL] = 1.0
         self._raw = raw
-        tick = replace(robot, substeps=1, packet_substeps=1)
+        tick = replace(CASSIE, substeps=1, packet_substeps=1)
         self._engine = make_engine(tick, CommandedPD)
-        self._estimator = StateEstimator(robot)
+        self._estimator = StateEstimator()
         self._tracking: Tracking | None = None
         # estimate of the last packet
         self._state = self._first_state()
         # specific forces since the last packet of the estimator
         self._force: list[np.ndarray] = []
-        self._command = np.zeros((1, len(MotorCommand._fields) * robot.damping.size))
+        self._command = np.zeros((1, len(MotorCommand._fields) * CASSIE.damping.size))
         self._push, self._push_ticks = np.zeros((1, 3)), 0
 
     @property
@@ -116,7 +107,7 @@ class TwinRobot:
 
     def truth(self) -> dict[str, np.ndarray]:
         """True state (1, k) after the last tick; see `aslip.sim.true_state`."""
-        return true_state(self._engine.snapshot(), self.robot.indices)
+        return true_state(self._engine.snapshot(), CASSIE.indices)
 
     def reset(self) -> None:
         """Set the robot on its feet, at rest and without a command, where it first stood."""
@@ -141,21 +132,20 @@ class TwinRobot:
         if not 0 < duration < math.inf:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push[0] = vector
-        self._push_ticks = max(round(duration / self.robot.physics_timestep), 1)
+        self._push_ticks = max(round(duration / CASSIE.physics_timestep), 1)
 
     def take(self, command: np.ndarray) -> None:
         """Keep a command, a record of `receives`, for the next ticks."""
         if self._raw:
-            self._command[0, : self.robot.damping.size] = user_in_to_torque(command)
-            self._command[0, self.robot.damping.size :] = 0.0
+            self._command[0, : CASSIE.damping.size] = user_in_to_torque(command)
+            self._command[0, CASSIE.damping.size :] = 0.0
         else:
             np.concatenate(pd_in_to_command(command), out=self._command[0])
 
-    def let_go(self, *, damp: bool = False) -> None:
-        """Replace the command by zeros, or by the robot's damping gains alone."""
+    def damp(self) -> None:
+        """Replace the command by the robot's damping gains alone."""
         self._command[:] = 0.0
-        if damp:
-            self._command[0, -self.robot.damping.size :] = self.robot.damping
+        self._command[0, -CASSIE.damping.size :] = CASSIE.damping
 
     def tick(self, command: np.ndarray | None = None) -> np.ndarray:
         """Advance by 0.5 ms.
@@ -183,7 +173,7 @@ class TwinRobot:
         """Record of `sends` after the last tick, or of the robot as it stands before the first."""
         torque = self._engine.motor_torque[0]
         if self._raw:
-            record = sensors_to_cassie_out(self._readings(), torque, robot=self.robot)
+            record = sensors_to_cassie_out(self._readings(), torque)
             radio = record["pelvis"]["radio"]
         else:
             # a copy of the bytes: that of the record takes fifteen times as long
@@ -209,7 +199,7 @@ class TwinRobot:
             self._tracking, estimate = self._estimator.start(self.packet(), heading=0.0)
         else:
             self._force.append(readings["accelerometer"].copy())
-            if len(self._force) < self.robot.packet_substeps:
+            if len(self._force) < CASSIE.packet_substeps:
                 return
             mean = np.sum(self._force, axis=0) / len(self._force)
             self._force.clear()

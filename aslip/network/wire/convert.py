@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.network.wire.packets import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN
-from aslip.robot import CASSIE, SIDES, Robot
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.rotation import rotate_inverse, upper_hemisphere
 
 STOP_CHANNEL: Final = 8
@@ -89,7 +89,7 @@ _DRIVES = CASSIE_OUT.numbers(
 
 
 def sensors_to_cassie_out(
-    sensors: Mapping[str, ArrayLike], motor_torque: ArrayLike = 0.0, *, robot: Robot = CASSIE
+    sensors: Mapping[str, ArrayLike], motor_torque: ArrayLike = 0.0
 ) -> np.ndarray:
     """Pack sensor packets as `cassie_out_t`.
 
@@ -99,7 +99,6 @@ def sensors_to_cassie_out(
     Args:
         sensors: entries (*b, k) of `Robot.packet_sizes`.
         motor_torque: torques at the joints (*b, 10) [N m].
-        robot: robot that gives gears and torque limits.
 
     Returns:
         (*b) records of `CASSIE_OUT`.
@@ -108,13 +107,13 @@ def sensors_to_cassie_out(
         UnknownNameError: an entry is missing.
         ShapeError: an entry has the wrong shape.
     """
-    entries = [_entry(sensors, name, size) for name, size in robot.packet_sizes.items()]
+    entries = [_entry(sensors, name, size) for name, size in CASSIE.packet_sizes.items()]
     out = CASSIE_OUT.zeros(*entries[0].shape[:-1])
     _SENSORS.write(out, np.concatenate(entries, axis=-1))
     drives = np.empty((*out.shape, 3, _MOTORS))
     drives[..., 0, :] = motor_torque
-    drives[..., 1, :] = robot.torque_limit * robot.gear
-    drives[..., 2, :] = robot.gear
+    drives[..., 1, :] = CASSIE.torque_limit * CASSIE.gear
+    drives[..., 2, :] = CASSIE.gear
     _DRIVES.write(out, drives.reshape(*out.shape, -1))
     for group, flag in ((out["pelvis"]["vector_nav"], "data_good"), (out, "is_calibrated")):
         _write(group, flag, True)

@@ -87,10 +87,6 @@ class Endpoint:
             _check(address, beyond_loopback)
         self.peer = peer
         """Address of the other side; None until it is known."""
-        self.foreign: Address | None = None
-        """Last sender whose datagrams were dropped because it is not the peer."""
-        self.unsent = 0
-        """Number of datagrams that the system refused to send."""
         self._named = peer is not None
         self._heard = 0.0
         self._last: bytes | None = None
@@ -162,7 +158,7 @@ class Endpoint:
         try:
             self._socket.sendto(self._last, self.peer)
         except BlockingIOError:
-            self.unsent += 1
+            pass  # a full buffer is a lost datagram
         except OSError as error:
             raise NetworkError(f"cannot send to {self.peer}: {error.strerror}") from error
 
@@ -202,7 +198,6 @@ class Endpoint:
         silent = now - self._heard > SILENCE
         if self.peer is not None and self.peer != sender:
             if self._named or not silent or not link.is_valid(datagram):
-                self.foreign = sender
                 link.counters.foreign += 1
                 return None
             link.restart()

@@ -75,7 +75,7 @@ class Packet:
             raise ShapeError(f"a record of {self.name} is needed, got {records.dtype}")
         return records.tobytes()
 
-    def unpack(self, payload: bytes) -> np.ndarray:
+    def unpack(self, payload: bytes | bytearray) -> np.ndarray:
         """Convert a payload to a record of shape (); copies.
 
         Raises:
@@ -87,22 +87,6 @@ class Packet:
         for flag in self._flags:
             raw[flag] = raw[flag] != 0
         return np.ndarray((), self.dtype, raw)
-
-    def decode(self, payloads: np.ndarray) -> np.ndarray:
-        """Convert bytes (*b, `size`) to records (*b); any nonzero byte is a true flag.
-
-        Raises:
-            ShapeError: the last axis has another size.
-        """
-        if payloads.dtype != np.uint8 or payloads.shape[-1:] != (self.size,):
-            raise ShapeError(
-                f"payloads of {self.name} are bytes (*b, {self.size}),"
-                f" got {payloads.dtype} {payloads.shape}"
-            )
-        raw = payloads.copy()
-        if self._flags:
-            raw[..., self._flags] = raw[..., self._flags] != 0
-        return raw.view(self.dtype)[..., 0]
 
     def is_finite(self, records: np.ndarray) -> np.ndarray:
         """(*b) bool, True if all floating-point numbers of a record are finite."""

@@ -78,10 +78,6 @@ class Link:
         self.sends, self.receives = sends, receives
         self.counters = Counters()
         """Counts of arrived datagrams."""
-        self.delay: int | None = None
-        """Number of datagrams sent since the one that the peer answered last, plus one; None before
-        the first datagram. Its product with the sending period is the round-trip time. In lockstep
-        it is 1."""
         self.step: int | None = None
         """Difference of the last two accepted numbers; 1 without loss."""
         self._refuse = refuse_not_finite
@@ -127,7 +123,6 @@ class Link:
         if not self._is_new(header, datagram, silent):
             return None
         self._newest = datagram
-        self.delay = wrapped(self._sent + 1 - header.received)
         counters.not_finite += not finite
         counters.accepted += 1
         return record
@@ -141,7 +136,7 @@ class Link:
 
     def restart(self) -> None:
         """Forget the peer's numbers for a new peer; the counts continue."""
-        self._newest = self.delay = self.step = None
+        self._newest = self.step = None
         self.counters.restarts += 1
 
     def _is_new(self, header: Header, datagram: bytes, silent: bool) -> bool:

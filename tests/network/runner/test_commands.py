@@ -101,11 +101,8 @@ def test_the_newest_datagram_counts_until_it_is_old() -> None:
         socket.socket(type=socket.SOCK_DGRAM) as sender,
     ):
         assert source.request(0.0, 0.0) == Request(walk=False)
-        for text in (
-            '{"forward": 0.3}',
-            '{"forward": 0.5, "yaw_rate": 0.1}',
-            '{"forward": "fast"}',
-        ):
+        good = '{"forward": 0.5, "yaw_rate": 0.1}'
+        for text in ('{"forward": 0.3}', good, '{"forward": "fast"}'):
             sender.sendto(text.encode(), ("127.0.0.1", source.port))
         assert source.request(5.0, 0.0) == Request(0.5, yaw_rate=0.1)
         assert source.request(5.9, 0.0) == Request(0.5, yaw_rate=0.1)
@@ -117,23 +114,12 @@ def test_the_newest_datagram_counts_until_it_is_old() -> None:
     assert len(said) == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ('{"damp": "red button"}', Request(0.5, damp="operator: red button")),
-        ('{"stop": true}', Request(0.5, stop=True)),
-    ],
-)
-def test_a_stop_or_damping_counts_before_a_newer_datagram(text: str, expected: Request) -> None:
+def test_a_stop_or_damping_counts_before_a_newer_datagram() -> None:
     with Datagrams(0) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
-        for sent in (text, '{"forward": 0.5}'):
+        for sent in ('{"damp": "red button"}', '{"stop": true}', '{"forward": 0.5}'):
             sender.sendto(sent.encode(), ("127.0.0.1", source.port))
+        expected = Request(0.5, stop=True, damp="operator: red button")
         assert source.request(0.0, 0.0) == expected
-
-
-def test_a_port_that_does_not_exist_is_named() -> None:
-    with pytest.raises(ConfigurationError, match="between 0 and 65535, got 70000"):
-        Datagrams(70000)
 
 
 def test_a_port_in_use_for_commands_is_named() -> None:
@@ -144,35 +130,27 @@ def test_a_port_in_use_for_commands_is_named() -> None:
 def test_what_is_shown_of_a_datagram_is_short_and_printable() -> None:
     request = parse_request(b'{"damp": "\\u001b[2J\\n\\ud800' + 1000 * b"x" + b'"}')
     assert request.damp == "?[2J??" + 74 * "x"
-    for text in (
-        '{"forward": "X"}',
-        '{"X": 1}',
-        '"X"',
-        "X",
-        '{"forward": [X]}',
-        '{"walk": {"X": 1}}',
-    ):
+    for text in ('{"forward": "X"}', '{"X": 1}', '"X"', "X", '{"walk": {"X": 1}}'):
         with pytest.raises(ConfigurationError) as refused:
             parse_request(text.replace("X", 4000 * "1").encode())
         assert len(str(refused.value)) < 250
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[1]", "a JSON object"),
-        ("{", "not JSON"),
-        ("\xff", "not JSON"),
-        ('{"speed": 1}', "no entry 'speed'"),
-        ('{"forward": NaN}', "forward must be at most 100, got nan"),
-        ('{"forward": -Infinity}', "forward must be at most 100"),
-        ('{"yaw_rate": 1' + 500 * "0" + "}", "yaw_rate must be at most 100"),
-        (3000 * "[", "not JSON"),
-        ('{"forward": true}', "forward must be float"),
-        ('{"walk": 1}', "walk must be bool"),
-        ('{"damp": true}', "damp must be str"),
-    ],
-)
-def test_wrong_requests_are_refused(text: str, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        parse_request(text.encode("latin-1"))
+WRONG = {
+    "[1]": "a JSON object",
+    "{": "not JSON",
+    "\xff": "not JSON",
+    3000 * "[": "not JSON",
+    '{"speed": 1}': "no entry 'speed'",
+    '{"forward": NaN}': "forward must be at most 100, got nan",
+    '{"yaw_rate": 1' + 500 * "0" + "}": "yaw_rate must be at most 100",
+    '{"forward": true}': "forward must be float",
+    '{"walk": 1}': "walk must be bool",
+    '{"damp": true}': "damp must be str",
+}
+
+
+def test_wrong_requests_are_refused() -> None:
+    for text, message in WRONG.items():
+        with pytest.raises(ConfigurationError, match=message):
+            parse_request(text.encode("latin-1"))

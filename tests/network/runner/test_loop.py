@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 from unittest.mock import Mock
 
 import numpy as np
@@ -68,7 +68,7 @@ def make_run(
     loaded: Loaded, *, duration: float = 1e6, log: RunLog | None = None
 ) -> tuple[Run, list[str]]:
     """Run at 0.5 m/s, and the lines that it prints."""
-    supervisor = Supervisor(loaded.controller, loaded.pose, QUICK)
+    supervisor = Supervisor(loaded.controller, QUICK)
     said: list[str] = []
     source = Scheduled(Schedule.parse("0.5"), duration)
     return Run(supervisor, StateReadings(), source, log=log, say=said.append), said
@@ -119,10 +119,9 @@ def test_commands_of_a_run_are_those_of_the_controller(
 def test_a_log_replays_bit_for_bit(lockstep: SimpleNamespace, tmp_path: Path) -> None:
     made: list[list[str]] = []
 
-    def make(files: list[Path], limits: Limits) -> Supervisor:
+    def make(files: list[Path]) -> Any:
         made.append([file.name for file in files])
-        again = load(*files)
-        return Supervisor(again.controller, again.pose, limits)
+        return load(*files).controller
 
     result = replay(lockstep.path, make, tmp_path)
     assert made == [["policy.zip", "library.npz"]]
@@ -130,13 +129,9 @@ def test_a_log_replays_bit_for_bit(lockstep: SimpleNamespace, tmp_path: Path) ->
     read(lockstep.path)
 
 
-def test_a_replay_finds_another_controller(
-    lockstep: SimpleNamespace, loaded: Loaded, tmp_path: Path
-) -> None:
+def test_a_replay_finds_another_controller(lockstep: SimpleNamespace, tmp_path: Path) -> None:
     other = Controller("straight", GaitLibrary.load(), motor_lead=0.0)
-    result = replay(
-        lockstep.path, lambda _, limits: Supervisor(other, loaded.pose, limits), tmp_path
-    )
+    result = replay(lockstep.path, lambda _: other, tmp_path)
     assert (result.different, result.first) == (result.walked, 0.0005)
 
 
@@ -145,7 +140,7 @@ def test_other_logs_are_not_replayed(tmp_path: Path) -> None:
     log = RunLog(path, STATE_OUT, {}, run_metadata("straight", StateReadings(), QUICK))
     log.finish({})
     with pytest.raises(FileDamagedError, match="no log of a run over the network"):
-        replay(path, lambda *_: None, tmp_path)
+        replay(path, cast("Any", None), tmp_path)
     with pytest.raises(ConfigurationError, match="exists"):
         RunLog(path, STATE_OUT, {}, {})
 
@@ -167,7 +162,7 @@ def test_logs_of_strangers_write_nothing_elsewhere(
     log.tick(0, Request(), Stage.WALK, MotorCommand(*np.zeros((5, 10))), None, (0.0, 0.0))
     log.finish({})
     with pytest.raises(FileDamagedError, match=message):
-        replay(tmp_path / "run.mcap", lambda *_: None, tmp_path / "within")
+        replay(tmp_path / "run.mcap", cast("Any", None), tmp_path / "within")
     assert not (tmp_path / "evil").exists()
 
 
@@ -177,7 +172,7 @@ def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(
     """Estimator and PD law run in the runner; the twin takes torques."""
     path, readings = tmp_path / "raw.mcap", SensorReadings()
     log = RunLog(path, CASSIE_OUT, loaded.files, run_metadata("straight", readings, QUICK))
-    supervisor = Supervisor(loaded.controller, loaded.pose, QUICK)
+    supervisor = Supervisor(loaded.controller, QUICK)
     source = Scheduled(Schedule.parse("0.5"), duration=0.3)
     run = Run(supervisor, readings, source, log=log, say=lambda _: None)
     with connected(serve_lockstep, TwinRobot(raw=True), raw=True) as endpoint:
@@ -189,9 +184,7 @@ def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(
         # torques reach the twin in single precision; later footsteps amplify the difference
         np.testing.assert_allclose(raw[name][:4], pd[name][:4], atol=2e-4)
         np.testing.assert_allclose(raw[name][:10], pd[name][:10], atol=0.1)
-    result = replay(
-        path, lambda _, limits: Supervisor(loaded.controller, loaded.pose, limits), tmp_path
-    )
+    result = replay(path, lambda _: loaded.controller, tmp_path)
     assert (result.different, result.walked) == (0, 13)
 
 

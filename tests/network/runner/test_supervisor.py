@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,18 +25,21 @@ class Recorder:
     """Controller that records how it is called; its targets count its steps."""
 
     calls: list[tuple[Any, ...]] = field(default_factory=list)
-    wishes: list[dict[str, Any]] = field(default_factory=list)
+    stand: list[dict[str, Any]] = field(default_factory=list)
     fails: str = ""
+    command_size: int = 1
+    stands: bool = False
+    pose: np.ndarray = field(default_factory=lambda: POSE)
 
-    def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None, **wish: Any) -> Any:
+    def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None, **stand: Any) -> Any:
         self.calls.append(("start", packets, command, heading))
-        self.wishes.append(wish)
+        self.stand.append(stand)
         return SimpleNamespace(motor_target=np.ones((1, 10)))
 
     def step(
-        self, state: Any, packets: Any, command: Any = None, *, heading: Any = None, **wish: Any
+        self, state: Any, packets: Any, command: Any = None, *, heading: Any = None, **stand: Any
     ) -> tuple[Any, Any]:
-        self.wishes.append(wish)
+        self.stand.append(stand)
         if self.fails == "raises":
             raise RuntimeError("no session")
         self.calls.append(("step", packets, command, heading))
@@ -57,7 +60,7 @@ def standing(time: float, *, channels: dict[int, float] | None = None, **entries
 
 def make(limits: Limits | None = None, **settings: Any) -> tuple[Supervisor, Recorder]:
     controller = Recorder(**settings)
-    return Supervisor(controller, POSE, limits), controller
+    return Supervisor(cast("Any", controller), limits), controller
 
 
 def walking() -> tuple[Supervisor, Recorder]:
@@ -138,25 +141,23 @@ def test_a_yaw_rate_turns_the_heading_of_a_policy_that_walks_straight_ahead() ->
 
 
 def test_a_policy_for_all_directions_gets_the_whole_command() -> None:
-    controller = Recorder()
-    supervisor = Supervisor(controller, POSE, command_size=3)
+    supervisor, controller = make(command_size=3)
     for k in range(2):
         supervisor.tick(k * PERIOD, standing(k * PERIOD), Request(0.5, 0.1, 0.2))
     assert controller.calls[-1][2:] == ((0.5, 0.1, 0.2), None)
 
 
-def test_only_policies_that_stand_get_the_wish_and_others_step_in_place() -> None:
+def test_only_policies_that_stand_get_the_stand_command_and_others_step_in_place() -> None:
     for stands in (True, False):
-        controller = Recorder()
-        supervisor = Supervisor(controller, POSE, command_size=3, stands=stands)
+        supervisor, controller = make(command_size=3, stands=stands)
         for k in range(4):
             request = Request(0.5, stand=k == 2, stop=k == 3)
             supervisor.tick(k * PERIOD, standing(k * PERIOD), request)
         assert supervisor.stage is Stage.STOP
         assert [call[2][0] for call in controller.calls] == [0.5, 0.5, 0.0, 0.0]
         # a walk begins with standing, as the robot stands then
-        expected = [{"stand": wish} for wish in (True, False, True, True)]
-        assert controller.wishes == (expected if stands else [{}] * 4)
+        expected = [{"stand": stand} for stand in (True, False, True, True)]
+        assert controller.stand == (expected if stands else [{}] * 4)
 
 
 TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
@@ -171,12 +172,12 @@ TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
         (
             standing(0.06, velocity=np.array([0, np.nan, 0])),
             Request(),
-            "estimates are not finite: velocity",
+            "estimates are lost or impossible: {'velocity': [0.0, nan, 0.0]}",
         ),
         (
             standing(0.06, orientation=np.zeros(4)),
             Request(),
-            "estimates are impossible: orientation is [0.0, 0.0, 0.0, 0.0]",
+            "estimates are lost or impossible: {'orientation': [0.0, 0.0, 0.0, 0.0]}",
         ),
         (standing(0.06, orientation=TILTED), Request(), "tilt of 1.00 rad, beyond 0.8 rad"),
     ],
@@ -251,17 +252,11 @@ def test_a_stop_counts_while_the_motors_are_released() -> None:
     assert (supervisor.stage, supervisor.by_operator) == (Stage.DAMPING, True)
 
 
-@pytest.mark.parametrize(
-    ("reason", "by_operator"),
-    [
-        ("operator: red button", True),
-        ("the policy failed: RuntimeError: no operator aten::x", False),
-    ],
-)
-def test_the_operator_is_told_from_other_reasons(reason: str, by_operator: bool) -> None:
-    supervisor, _ = walking()
-    supervisor.tick(0.06, standing(0.06), Request(damp=reason))
-    assert supervisor.by_operator is by_operator
+def test_the_operator_is_distinguished_from_other_reasons() -> None:
+    for reason in ("operator: red button", "the policy failed: no operator aten::x"):
+        supervisor, _ = walking()
+        supervisor.tick(0.06, standing(0.06), Request(damp=reason))
+        assert supervisor.by_operator == reason.startswith("operator")
 
 
 def test_tilt_is_the_angle_to_the_vertical_in_any_direction() -> None:
@@ -271,14 +266,8 @@ def test_tilt_is_the_angle_to_the_vertical_in_any_direction() -> None:
     assert tilt(np.array([math.cos(0.3), 0, 0, math.sin(0.3)])) == pytest.approx(0.0, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        ({"ramp": -1.0}, "ramp must be finite and zero or more, got -1.0"),
-        ({"tilt": 0.0}, "tilt must be finite and positive"),
-        ({"patience": math.nan}, "patience must be finite"),
-    ],
-)
-def test_wrong_limits_are_refused(limits: dict[str, float], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
+@pytest.mark.parametrize("limits", [{"ramp": -1.0}, {"tilt": 0.0}, {"patience": math.nan}])
+def test_wrong_limits_are_refused(limits: dict[str, float]) -> None:
+    (name, value) = next(iter(limits.items()))
+    with pytest.raises(ConfigurationError, match=f"{name} must be finite.*got {value}"):
         Limits(**limits)

@@ -46,28 +46,18 @@ def _assert_equal(ours: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
         np.testing.assert_array_equal(ours[name], value, err_msg=name)
 
 
-# ------------------------------------------------------------------------ sensors
-
-
 @SHAPES
 def test_sensor_packets_in_single_precision_return_exactly(shape: tuple[int, ...]) -> None:
     sensors = _random(CASSIE.packet_sizes, shape)
     _assert_equal(cassie_out_to_sensors(sensors_to_cassie_out(sensors)), sensors)
 
 
-def test_sensor_packets_in_double_precision_return_rounded_once() -> None:
-    sensors = _random(CASSIE.packet_sizes, (4,), np.float64)
-    rounded = {name: value.astype(np.float32) for name, value in sensors.items()}
-    _assert_equal(cassie_out_to_sensors(sensors_to_cassie_out(sensors)), rounded)
-
-
-def test_a_simulation_s_sensor_packets_return_exactly() -> None:
+def test_a_simulation_s_sensor_packets_return_rounded_once() -> None:
     simulation = Simulations(1, num_threads=1)
     simulation.advance(CASSIE.standing[CASSIE.indices.motor_qpos][None])
-    sensors = {
-        name: value.astype(np.float32) for name, value in simulation.sensors.packets().items()
-    }
-    _assert_equal(cassie_out_to_sensors(sensors_to_cassie_out(sensors)), sensors)
+    sensors = simulation.sensors.packets()
+    rounded = {name: value.astype(np.float32) for name, value in sensors.items()}
+    _assert_equal(cassie_out_to_sensors(sensors_to_cassie_out(sensors)), rounded)
 
 
 def test_readings_are_in_the_order_of_the_wire() -> None:
@@ -112,9 +102,6 @@ def test_read_sensors_have_their_own_memory() -> None:
     assert out.tobytes() == CASSIE_OUT.zeros(2).tobytes()
 
 
-# ----------------------------------------------------------------------- estimates
-
-
 @SHAPES
 def test_estimates_in_single_precision_return_exactly(shape: tuple[int, ...]) -> None:
     estimate = _random(ESTIMATE_SIZES, shape)
@@ -150,9 +137,6 @@ def test_states_release_the_emergency_stop() -> None:
     assert raw["receiver_signal_good"]
 
 
-# ---------------------------------------------------------------------------- commands
-
-
 @SHAPES
 def test_commands_in_single_precision_return_exactly(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(6)
@@ -176,9 +160,6 @@ def test_targets_are_in_the_order_of_the_wire() -> None:
     np.testing.assert_array_equal(numbers, expected)
 
 
-# ------------------------------------------------------------------------------ errors
-
-
 def test_missing_entries_are_named() -> None:
     sensors = _random(CASSIE.packet_sizes, ())
     del sensors["gyro"]
@@ -186,22 +167,11 @@ def test_missing_entries_are_named() -> None:
         sensors_to_cassie_out(sensors)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: command_to_pd_in(np.zeros(9)), "position must have 10 numbers"),
-        (lambda: command_to_pd_in(np.zeros(10), np.zeros(9)), "stiffness must fit"),
-        (lambda: torque_to_user_in(np.zeros((2, 11))), "torque must have 10 numbers"),
-        (
-            lambda: estimate_to_state_out(_random(ESTIMATE_SIZES, ()), feet=np.zeros((2, 3))),
-            "feet need the position",
-        ),
-        (
-            lambda: estimate_to_state_out({**_random(ESTIMATE_SIZES, ()), "height": np.zeros(2)}),
-            "height must have 1 numbers",
-        ),
-    ],
-)
-def test_arrays_of_the_wrong_shape_are_refused(make: Any, message: str) -> None:
-    with pytest.raises(ShapeError, match=message):
-        make()
+def test_arrays_of_the_wrong_shape_are_refused() -> None:
+    estimate = _random(ESTIMATE_SIZES, ())
+    with pytest.raises(ShapeError, match="position must have 10 numbers"):
+        command_to_pd_in(np.zeros(9))
+    with pytest.raises(ShapeError, match="stiffness must fit"):
+        command_to_pd_in(np.zeros(10), np.zeros(9))
+    with pytest.raises(ShapeError, match="feet need the position"):
+        estimate_to_state_out(estimate, feet=np.zeros((2, 3)))

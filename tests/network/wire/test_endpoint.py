@@ -71,7 +71,6 @@ def test_a_robot_answers_the_first_sender(robot: Endpoint, client: Endpoint) -> 
     robot.send(STATE_OUT.zeros())
     assert client.wait(1.0)
     assert client.receive() is not None
-    assert client.link.delay == 1
 
 
 def test_a_second_client_is_not_heard(robot: Endpoint, client: Endpoint) -> None:
@@ -80,7 +79,6 @@ def test_a_second_client_is_not_heard(robot: Endpoint, client: Endpoint) -> None
     with _client(robot) as second:
         second.send(_command(2.0))
         assert _received(robot) is None
-        assert robot.foreign == second.local
     assert robot.peer == client.local
     assert robot.link.counters.foreign == 1
 
@@ -115,13 +113,14 @@ def test_a_client_that_restarts_at_its_old_address_is_heard_after_a_silence(
     assert (robot.link.counters.late, robot.link.counters.restarts) == (1, 1)
 
 
-@pytest.mark.parametrize("size", [0, 1, 477, 479, 2000])
-def test_datagrams_of_the_wrong_size_do_not_set_the_peer(robot: Endpoint, size: int) -> None:
+def test_datagrams_of_the_wrong_size_do_not_set_the_peer(robot: Endpoint) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.sendto(bytes(size), robot.local)
-        assert _received(robot) is None
+        for size in (0, 1, 477, 479, 2000):
+            other.sendto(bytes(size), robot.local)
+            assert robot.wait(1.0)
+            assert robot.receive() is None
     assert robot.peer is None
-    assert robot.link.counters.wrong_size == 1
+    assert robot.link.counters.wrong_size == 5
 
 
 @pytest.mark.parametrize("content", [b"", bytes(700), "nan", "the same nan"])
