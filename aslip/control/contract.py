@@ -5,7 +5,7 @@
 | `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default_joint_pos`, `command_names`, `observation_names`, `action_scale` | keys of mjlab, comma-separated, in full precision |
 | `interface` | `inputs` and `outputs` of the graph with unit and frame, and `feedback`, as JSON |
 | `aslip` | robot, rates, limits, library, policy and versions, as JSON |
-| `golden_trace` | 200 policy steps, an `.npz` in base64; names of arrays as in gaitkeeper's traces |
+| `golden_trace` | 200 policy steps, an `.npz` in base64 |
 | `sha256` | SHA-256 of all bytes of the file before this entry, which is the last |
 """  # noqa: E501
 
@@ -133,11 +133,6 @@ def _plain(value: Any) -> Any:
 def _keys(value: Any) -> Sequence[str]:
     """Keys of a mapping in order; order matters in packets."""
     return list(value) if isinstance(value, Mapping) else []
-
-
-def observed_name(name: str) -> str:
-    """Name of the graph's output for an entry of the observation that is no estimate."""
-    return name if "/" in name else f"observed/{name}"
 
 
 def csv(values: Iterable[float | str]) -> str:

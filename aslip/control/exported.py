@@ -12,7 +12,7 @@ import numpy as np
 
 from aslip.base.assets import user_path
 from aslip.control.base import ControllerBase, Given
-from aslip.control.contract import TOLERANCE, damaged, explained, wrong
+from aslip.control.contract import TOLERANCE, damaged, explained
 from aslip.control.estimates import (
     POSITION,
     check_first,
@@ -20,7 +20,7 @@ from aslip.control.estimates import (
     mark_lost,
     split_estimate,
 )
-from aslip.control.exported_file import TYPES, check_order, library_sha256, open_policy, try_steps
+from aslip.control.exported_file import TYPES, open_policy, try_steps
 from aslip.errors import AssetError, ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.rotation import yaw
@@ -63,24 +63,19 @@ class ExportedController(ControllerBase[ExportedState]):
     Args:
         path: file of an exported policy.
         robot: robot to control.
-        library: gait library that the policy must have been exported with: name of a shipped one,
-            file (reading it needs PyTorch) or `GaitLibrary.sha256`; by default any, because the
-            exported policy contains its tables.
 
     Raises:
         AssetError: there is no such file.
         FileDamagedError: the file is truncated or altered, is no exported policy, points to data in
             another file, has weights that are not finite, loops, or operators that onnxruntime
             does not have, or fails to take two steps.
-        ConfigurationError: the policy is for another robot, library or version of the contract; the
-            message names the first difference.
+        ConfigurationError: the policy is for another robot or version of the contract; the message
+            names the first difference.
     """
 
     num_robots = 1
 
-    def __init__(
-        self, path: str | Path, robot: Robot = CASSIE, *, library: str | Path | None = None
-    ) -> None:
+    def __init__(self, path: str | Path, robot: Robot = CASSIE) -> None:
         self.path, self._robot = user_path(path), robot
         if not self.path.is_file():
             raise AssetError(
@@ -89,7 +84,6 @@ class ExportedController(ControllerBase[ExportedState]):
             )
         self._session, self.contract = open_policy(self.path, robot)
         with explained(self.path):
-            found = self.contract.about["library"]["sha256"]
             self._outputs = [output["name"] for output in self.contract.outputs]
             self._inputs = {
                 entry["name"]: (TYPES[entry["dtype"]], tuple(entry["shape"]))
@@ -97,8 +91,6 @@ class ExportedController(ControllerBase[ExportedState]):
             }
             self._feedback = self.contract.feedback
             try_steps(self)
-        if library is not None and (wanted := library_sha256(str(library), robot)) != found:
-            raise wrong(self.path, f"its library has the SHA-256 {found}, not {wanted}")
 
     @cached_property
     def estimator(self) -> StateEstimator:
@@ -170,8 +162,8 @@ class ExportedController(ControllerBase[ExportedState]):
             Largest difference of a motor target from PyTorch's [rad].
 
         Raises:
-            FileDamagedError: the trace is damaged, a motor target differs by more than `TOLERANCE`,
-                or the observation's entries are not in the order of the contract.
+            FileDamagedError: the trace is damaged, or a motor target differs by more than
+                `TOLERANCE`.
         """
         with explained(self.path, "its golden trace cannot be run: "):
             trace = self.contract.golden_trace() if trace is None else trace
@@ -210,7 +202,6 @@ class ExportedController(ControllerBase[ExportedState]):
             else:
                 state, _ = self.step(state, estimate, command[None], **given)
             entries.append(state.entries)
-            check_order(state.entries, self.contract.observation, self.robot)
         return entries
 
     def _run(

@@ -9,15 +9,14 @@ from __future__ import annotations
 import functools
 import math
 import threading
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aslip.base.imports import extras
-from aslip.control.contract import Contract, damaged, explained, observed_name, read_sealed, wrong
-from aslip.control.estimates import split_estimate, standing_estimate
+from aslip.control.contract import Contract, damaged, explained, read_sealed, wrong
+from aslip.control.estimates import standing_estimate
 from aslip.robot import Robot
 
 with extras():
@@ -149,45 +148,3 @@ def try_steps(controller: Any) -> None:
         for angles in (state.motor_target, controller.pose[None]):
             if angles.shape != (1, size) or not np.isfinite(angles).all():
                 raise ValueError(f"its pose or its motor targets are not {size} finite angles")
-
-
-def library_sha256(library: str, robot: Robot) -> str:
-    """SHA-256 of a library by name, file or SHA-256."""
-    if len(library) == 64 and set(library) <= set("0123456789abcdef"):
-        return library
-    # imported late: it imports PyTorch
-    from aslip.library import GaitLibrary
-
-    return GaitLibrary.load(library, robot).sha256
-
-
-def check_order(
-    entries: Mapping[str, np.ndarray], observation_names: Sequence[str], robot: Robot
-) -> None:
-    """Check that the observation has the entries of the contract in its order.
-
-    Args:
-        entries: outputs (1, k) of the graph.
-        observation_names: names of the observation's entries, in order.
-        robot: robot that gives the sizes of an estimate.
-
-    Raises:
-        ValueError: an entry is missing, or at another place.
-    """
-    parts = split_estimate(entries["estimate"], robot)
-    named = {**entries, **{f"estimate/{name}": part for name, part in parts.items()}}
-    place, observation = 0, entries["observation"]
-    for name in map(observed_name, observation_names):
-        if name not in named:
-            raise ValueError(f"no output is named {name!r}, an entry of the observation")
-        end = place + named[name].shape[1]
-        if not np.array_equal(observation[:, place:end], named[name]):
-            raise ValueError(
-                f"numbers {place} to {end - 1} of the observation are not {name!r}, as the"
-                " contract says"
-            )
-        place = end
-    if place != observation.shape[1]:
-        raise ValueError(
-            f"the contract names {place} of {observation.shape[1]} numbers of the observation"
-        )

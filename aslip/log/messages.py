@@ -11,7 +11,7 @@
 | `/observation` | 33 Hz | observation that the policy acts on next |
 | `/sensors` | 33 Hz | packets with noise; an array per number, oldest first |
 | `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: inputs of the step |
-| | | in all directions also `filtered_command`; of robots that stand also wish `stand` and `mode` |
+| | | in all directions also `filtered_command`; of robots that stand also `stand` and `mode` |
 | | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: its outcome |
 | `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |
@@ -180,6 +180,14 @@ def component_names(name: str, size: int) -> list[str]:
         return [f"{name}_{fault}" for fault in FAULTS]
     axes = {3: "xyz", 4: "wxyz"}.get(size)
     return [f"{name}_{part}" for part in axes or range(size)]
+
+
+def note(time_ns: int, text: str, level: int = INFO) -> dict[str, Any]:
+    """Message of `LOG` with a line of text."""
+    return {
+        "stamp": stamp(time_ns), "level": level, "name": "aslip",
+        "msg": text, "file": "", "function": "", "line": 0,
+    }  # fmt: skip
 
 
 def stamp(time_ns: int) -> dict[str, int]:

@@ -8,7 +8,6 @@ import os
 import platform
 import weakref
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,9 @@ import mujoco
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
-import aslip
 from aslip.base.assets import user_path
 from aslip.base.checks import check_count
 from aslip.base.decorators import check_types
-from aslip.base.provenance import commit, versions
 from aslip.envs import (
     SimulatedEnv,
     StackEnv,
@@ -40,6 +37,7 @@ from aslip.robot import CASSIE
 from aslip.sim import PD
 
 CONFIG_FILE = "config.json"
+_PACKAGES = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
 
 
 class Recorder(Transform):
@@ -182,7 +180,7 @@ class Recorder(Transform):
         writer = LogWriter(self.path, overwrite=self._overwrite)
         try:
             library = _library_of(env)
-            writer.attach(files, _metadata(base.model, config, library))
+            writer.attach(files, _metadata(base.model, config, library), _PACKAGES)
             names = _observed_names(env, tensordict)
             chosen = (self._robot, self._fast, _footholds_of(library))
             return Session(writer, base, *chosen, tensordict, names)
@@ -229,24 +227,19 @@ def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
         start, last = "_".join(map(str, key[:-1])), str(key[-1])
         parts = messages.component_names(last, size)
         names += [f"{start}_{part}" if start else part for part in parts]
-    return names if len(set(names)) == len(names) else None
+    fits = len(set(names)) == len(names) == td.get("observation").shape[-1]
+    return names if fits else None
 
 
 def _metadata(
     model: mujoco.MjModel, config: Mapping[str, Any], library: GaitLibrary | None
 ) -> dict[str, str]:
     """Metadata about the origin of a log."""
-    packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
     return {
-        "format": messages.FORMAT,
-        "version/aslip": aslip.__version__,
-        "commit": commit() or "",
-        **{f"version/{name}": found or "" for name, found in versions(packages).items()},
         "model_digest": model_digest(model),
         "low_level_digest": low_level_digest(),
         "gaits_sha256": "" if library is None else library.sha256,
         "seed": str(config["seed"]),
-        "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "timestep_s": repr(float(model.opt.timestep)),
         "control_timestep_s": repr(CASSIE.physics_timestep),
         "substeps": str(CASSIE.substeps),

@@ -14,7 +14,13 @@ from aslip.library.footholds import Footholds
 from aslip.log import messages
 from aslip.log.bodies import LoggedKinematics, robot_description
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
-from aslip.log.template import Marks, Template, joints_template, state_template, transforms_template
+from aslip.log.template import (
+    FlatTopic,
+    Template,
+    joints_template,
+    state_template,
+    transforms_template,
+)
 from aslip.log.writer import LogWriter
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
@@ -41,10 +47,15 @@ _TRUTH = (
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # groups of the tensordict that are topics of named numbers
 _GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
-# `filtered_command` in stacks for all directions only, wish and mode in those that stand
+# `filtered_command` in stacks for all directions only, stand command and mode in those that stand
 _CLOCK = ("phase", "command", "filtered_command", "stand", "mode")
 # inputs of a step
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
+_EVENTS = {
+    "/robot_description": messages.STRING,
+    "/log": messages.LOG,
+    "/touchdown": messages.TOUCHDOWN,
+}
 _OUTCOMES = ("reward", "terminated", "truncated", "done")
 _NEVER = np.zeros(1)
 _NO_PUSH = np.zeros(3)
@@ -62,15 +73,16 @@ def _row(part: TensorDictBase, robot: int) -> Row:
     return {key: value.detach().numpy()[robot] for key, value in part.items()}
 
 
-class _Flat:
-    """Topic of named numbers, the entries of a robot in a fixed order.
+class _Entries:
+    """Topic of the entries of a robot in a fixed order.
 
     Args:
         writer: writer of the log.
-        topic: topic; also the name of the message type.
-        entries: keys of the entries -> prefix of the names of their numbers.
+        topic: topic.
         sample: row that shows the sizes of the entries.
         dtype: type of the numbers.
+        entries: keys of the entries -> prefix of the names of their numbers; by default all, with
+            their keys.
         names: names of all numbers; from the entries by default.
         length: length of arrays, if entries (length, k) are k named arrays; 0 for numbers.
     """
@@ -79,34 +91,28 @@ class _Flat:
         self,
         writer: LogWriter,
         topic: str,
-        entries: Mapping[str, str],
         sample: Row,
         dtype: type[np.floating],
+        entries: Mapping[str, str] | None = None,
         *,
         names: Sequence[str] | None = None,
         length: int = 0,
     ) -> None:
-        self._writer, self._keys = writer, list(entries)
+        entries = {key: key for key in sample} if entries is None else entries
         names = names or [
             name
             for key, start in entries.items()
             for name in messages.component_names(start, sample[key].size // max(length, 1))
         ]
-        number = "float32" if dtype is np.float32 else "float64"
-        kind = messages.flat_type(topic.strip("/").title().replace("_", ""), number, names, length)
-
-        def build(marks: Marks) -> dict[str, Any]:
-            return {name: marks.numbers(length) if length else marks.number() for name in names}
-
+        self._keys = list(entries)
         # an array has the values of one number over the rows
         self._order: Literal["C", "F"] = "F" if length else "C"
-        self._template = Template(kind, build, dtype)
-        self._channel = writer.open_channel(topic, kind)
+        self._topic = FlatTopic(writer, topic, names, dtype, length)
 
     def write(self, time_ns: int, row: Row) -> None:
         """Write the message of a row."""
         values = np.concatenate([row[key].ravel(self._order) for key in self._keys])
-        self._writer.write(self._channel, time_ns, self._template.encode(time_ns, values))
+        self._topic.write(time_ns, values)
 
 
 class Session:
@@ -130,12 +136,7 @@ class Session:
         self._state_due = False
         self._kinematics = LoggedKinematics(base.model)
         self._events = {
-            topic: (kind, writer.open_channel(topic, kind))
-            for topic, kind in (
-                ("/robot_description", messages.STRING),
-                ("/log", messages.LOG),
-                ("/touchdown", messages.TOUCHDOWN),
-            )
+            topic: (kind, writer.open_channel(topic, kind)) for topic, kind in _EVENTS.items()
         }
         frames = [*self._kinematics.bodies, *ROM_FRAMES]
         self._poses = np.zeros((len(frames), 7))
@@ -151,15 +152,20 @@ class Session:
         self._dynamics: Row = {}
         self._groups = [name for name in _GROUPS if name in sample]
         rows = self._rows(sample)
+        single = np.float32
         self._flat = {
-            name: _Flat(writer, f"/{name}", _entries(name, rows[name]), rows[name], np.float32)
+            name: _Entries(writer, f"/{name}", rows[name], single, _entries(name, rows[name]))
             for name in self._groups
         }
-        self._flat |= self._policy_topics(rows, observed)
-        row = self._dynamics_row()
-        names = {name: name for name in row}
-        self._dynamics_topic = _Flat(writer, "/dynamics", names, row, np.float64)
-        self._step_topic: _Flat | None = None
+        if row := rows.get("sensors"):
+            length = len(next(iter(row.values())))
+            self._flat["sensors"] = _Entries(writer, "/sensors", row, single, length=length)
+        if row := rows.get("observation"):
+            self._flat["observation"] = _Entries(
+                writer, "/observation", row, single, names=observed
+            )
+        self._dynamics_topic = _Entries(writer, "/dynamics", self._dynamics_row(), np.float64)
+        self._step_topic: _Entries | None = None
 
     # --------------------------------------------------------------- events
 
@@ -207,18 +213,7 @@ class Session:
 
     def note(self, text: str, level: int = messages.INFO) -> None:
         """Add a line to `/log`."""
-        self._event(
-            "/log",
-            {
-                "stamp": messages.stamp(self._time),
-                "level": level,
-                "name": "aslip",
-                "msg": text,
-                "file": "",
-                "function": "",
-                "line": 0,
-            },
-        )
+        self._event("/log", messages.note(self._time, text, level))
 
     def finish(self) -> None:
         """Finish the file."""
@@ -253,24 +248,6 @@ class Session:
             rows["observation"] = {"observation": td.get("observation")[robot].numpy()}
         return rows
 
-    def _policy_topics(
-        self, rows: dict[str, Row], observed: Sequence[str] | None
-    ) -> dict[str, _Flat]:
-        """Topics of sensors and observation, if the tensordict has them."""
-        topics = {}
-        if row := rows.get("sensors"):
-            names, (length, _) = {key: key for key in row}, next(iter(row.values())).shape
-            topics["sensors"] = _Flat(
-                self._writer, "/sensors", names, row, np.float32, length=length
-            )
-        if row := rows.get("observation"):
-            names = {key: key for key in row}
-            fit = observed if observed and len(observed) == row["observation"].size else None
-            topics["observation"] = _Flat(
-                self._writer, "/observation", names, row, np.float32, names=fit
-            )
-        return topics
-
     def _place(self, rows: dict[str, Row]) -> None:
         """Compute all frame poses."""
         poses = self._poses
@@ -300,7 +277,7 @@ class Session:
             names |= {key: f"term_{key}" for key in terms}
             row |= terms
         if self._step_topic is None:
-            self._step_topic = _Flat(self._writer, "/step", names, row, np.float64)
+            self._step_topic = _Entries(self._writer, "/step", row, np.float64, names)
         self._step_topic.write(self._time, row)
 
     def _keep_state(self) -> None:
@@ -367,8 +344,7 @@ class Session:
 
     def _note_end(self, after: TensorDictBase) -> None:
         terminated = bool(after.get("terminated")[self._robot])
-        diverged = bool(after.get(("truth", "diverged"))[self._robot])
-        why = "the simulation diverged" if diverged else "terminated" if terminated else "truncated"
+        why = "terminated" if terminated else "truncated"
         level = messages.WARN if terminated else messages.INFO
         self.note(f"episode {self._episode} ends after {self._episode_step} steps: {why}", level)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from aslip.log import messages
 from aslip.log.messages import WORLD_FRAME, MessageType
+from aslip.log.writer import LogWriter
 
 # markers: exact in single precision, with bytes that occur in no string or count
 _MARK = 2.0**20 + 0.5
@@ -100,6 +101,39 @@ class Template:
             time = struct.pack("<iI", *divmod(time_ns, 10**9)) * len(self._stamps)
             message[self._stamp_places] = np.frombuffer(time, np.uint8)
         return message.tobytes()
+
+
+class FlatTopic:
+    """Topic of named numbers, or of named arrays of one length.
+
+    Args:
+        writer: writer of the log.
+        topic: topic; also the name of the message type.
+        names: names of the numbers, in order.
+        dtype: type of the numbers.
+        length: length of the arrays; 0 for single numbers.
+    """
+
+    def __init__(
+        self,
+        writer: LogWriter,
+        topic: str,
+        names: Sequence[str],
+        dtype: type[np.floating] = np.float64,
+        length: int = 0,
+    ) -> None:
+        def build(marks: Marks) -> dict[str, Any]:
+            return {name: marks.numbers(length) if length else marks.number() for name in names}
+
+        kind = messages.flat_type(
+            topic.strip("/").title().replace("_", ""), np.dtype(dtype).name, names, length
+        )
+        self._writer, self._template = writer, Template(kind, build, dtype)
+        self._channel = writer.open_channel(topic, kind)
+
+    def write(self, time_ns: int, values: np.ndarray) -> None:
+        """Write a message; the values of an array follow one another."""
+        self._writer.write(self._channel, time_ns, self._template.encode(time_ns, values))
 
 
 def transforms_template(frames: Sequence[str]) -> Template:

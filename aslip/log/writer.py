@@ -12,7 +12,8 @@ import contextlib
 import hashlib
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
@@ -20,9 +21,11 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 import aslip
+from aslip.base.provenance import commit as commit_of_package
+from aslip.base.provenance import versions
 from aslip.base.writing import commit
 from aslip.errors import ConfigurationError
-from aslip.log.messages import MessageType
+from aslip.log.messages import FORMAT, MessageType
 from aslip.log.records import METADATA_HASH, metadata_hash
 
 METADATA = "aslip"
@@ -70,10 +73,25 @@ class LogWriter:
         self._sequence: Counter[int] = Counter()
         self._failed = False
 
-    def attach(self, files: Mapping[str, bytes], metadata: Mapping[str, str]) -> None:
-        """Write attachments, and metadata with their hashes."""
+    def attach(
+        self, files: Mapping[str, bytes], metadata: Mapping[str, str], packages: Iterable[str]
+    ) -> None:
+        """Write attachments, and metadata with their hashes and about the origin of the log.
+
+        Args:
+            files: contents by name.
+            metadata: further metadata.
+            packages: packages whose versions are written.
+        """
+        origin = {
+            "format": FORMAT,
+            "version/aslip": aslip.__version__,
+            "commit": commit_of_package() or "",
+            **{f"version/{name}": text or "" for name, text in versions(packages).items()},
+            "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
         hashes = {HASH_KEY + name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-        add_metadata(self._writer, METADATA, {**metadata, **hashes})
+        add_metadata(self._writer, METADATA, {**origin, **metadata, **hashes})
         for name, data in files.items():
             media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._writer.add_attachment(0, 0, name, media, data)

@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from aslip.control import Controller
 from aslip.control.contract import TOLERANCE
 from aslip.control.export import export_policy
-from aslip.control.export.graph import _output
 from aslip.control.exported import ExportedController
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.robot import CASSIE
 from tests.control.helpers import (
     estimate,
     recurrent_controller,
     standing_packet,
 )
-from tests.library.standing import slower_library, standing_library
 
 
 @pytest.fixture(scope="module")
@@ -47,29 +42,6 @@ def test_hidden_states_and_filtered_commands_are_part_of_the_graph(
         _, remembered = turning.step(state, row)
         _, forgotten = turning.step(replace(state, entries=forgetful), row)
         assert np.abs(remembered - forgotten).max() > 1e-4, name
-
-
-@pytest.mark.parametrize(
-    ("name", "size", "elements", "unit"),
-    [
-        (
-            "observed/filtered_command",
-            3,
-            ("forward_speed", "sideways_speed", "yaw_rate"),
-            "m/s, rad/s",
-        ),
-        ("observed/last_action", 10, CASSIE.motor_names, "rad"),
-        ("reference/motor_velocity", 10, CASSIE.motor_names, "rad/s"),
-        ("reference/motor_position", 10, CASSIE.motor_names, "rad"),
-        ("reference/body_position", 3, ("x", "y", "z"), "m"),
-        ("clock/sin", 1, (), ""),
-    ],
-)
-def test_entries_of_the_observation_have_names_and_units(
-    name: str, size: int, elements: tuple[str, ...], unit: str
-) -> None:
-    entry = _output(name, torch.zeros(1, size), CASSIE)
-    assert (entry.elements, entry.unit) == (elements, unit)
 
 
 @pytest.mark.parametrize("mode", ["estimates", "packets"])
@@ -102,15 +74,6 @@ def test_the_golden_trace_covers_stops_and_starts(
         assert ((modes[:-1] == before) & (modes[1:] == after)).any()
     errors = np.concatenate([step["path_error"] for step in entries])
     assert errors.std(axis=0).min() > 0.05
-
-
-def test_another_stop_and_start_are_refused(turning: ExportedController, tmp_path: Path) -> None:
-    """A library is refused if only its stop and start differ."""
-    standing_library().save(tmp_path / "gaits.npz")
-    ExportedController(turning.path, library=tmp_path / "gaits.npz")
-    slower_library().save(tmp_path / "slower.npz")
-    with pytest.raises(ConfigurationError, match=f"not {slower_library().sha256}"):
-        ExportedController(turning.path, library=tmp_path / "slower.npz")
 
 
 @pytest.mark.parametrize("mode", ["estimates", "packets"])

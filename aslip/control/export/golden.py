@@ -28,7 +28,7 @@ _LOST = range(60, 63)  # steps without an estimate
 _TURN, _HEADING = 90, 0.25  # step at which the heading changes, and its new value [rad]
 _RESTART = 120  # step at which the robot restarts
 _PHASE = 0.25  # stride fraction at starts
-_STANDS = (range(10, 90), range(110, 140))  # steps with the wish to stand; a restart within
+_STANDS = (range(10, 90), range(110, 140))  # steps with the command to stand; a restart within
 _PLACE = 0.1  # standard deviation of the distance from the path [m]
 
 
@@ -43,12 +43,11 @@ def golden_trace(
         seed: seed of commands and noise.
 
     Returns:
-        Arrays with the names of gaitkeeper's traces: `obs` (t, o), `action`, `target` (t, m) [rad],
-        `command` (t, c), `reset` (t,) True at steps that start, `episode_step` (t,); and the inputs
-        `estimate` (t, e), joined in the order of `Robot.estimate_sizes`, NaN if lost, with three
-        numbers of the position at the end for policies that observe their path; `heading` (t, 1)
-        [rad]; `phase` (1, 1) at starts; `stand` (t, 1) for policies that stand, through stops and
-        starts.
+        `target` (t, m) [rad], and the inputs `command` (t, c); `reset` (t,), True at steps that
+        start; `estimate` (t, e), joined in the order of `Robot.estimate_sizes`, NaN if lost, with
+        three numbers of the position at the end for policies that observe their path; `heading`
+        (t, 1) [rad]; `phase` (1, 1) at starts; `stand` (t, 1) for policies that stand, through
+        stops and starts.
     """
     step = np.arange(steps)
     generator = np.random.default_rng(seed)
@@ -56,32 +55,24 @@ def golden_trace(
     commands = commands[step // _COMMAND_STEPS]
     headings = np.where(step < _TURN, 0.0, _HEADING)[:, None]
     starts = np.isin(step, (0, _RESTART))
-    stands = controller.steering.stands
-    wishes = np.isin(step, [i for part in _STANDS for i in part])[:, None] * np.float32(stands)
+    stands = controller.stands
+    stand = np.isin(step, [i for part in _STANDS for i in part])[:, None] * np.float32(stands)
     rows, states = [], []
     for i, start in enumerate(starts):
         last = None if start else states[-1]
         rows.append(_estimate(controller, last, commands[i : i + 1], generator))
         if i in _LOST:
             rows[-1] *= np.nan
-        states.append(_state(controller, last, rows[-1], commands[i], headings[i], wishes[i]))
+        states.append(_state(controller, last, rows[-1], commands[i], headings[i], stand[i]))
     trace = {
-        "obs": _joined(states, "observation"),
-        "action": _joined(states, "action"),
-        "target": _joined(states, "motor_target"),
+        "target": np.concatenate([state.motor_target.numpy() for state in states]),
         "command": commands,
         "reset": starts,
-        "episode_step": step - np.where(step < _RESTART, 0, _RESTART),
         "estimate": np.concatenate(rows),
         "heading": headings,
         "phase": np.array([[_PHASE]], dtype=np.float32),
     }
-    return {**trace, "stand": wishes} if stands else trace
-
-
-def _joined(states: list[ControllerState], name: str) -> np.ndarray:
-    """Concatenate an entry of states to (t, k)."""
-    return np.concatenate([state.tensordict[name].numpy() for state in states])
+    return {**trace, "stand": stand} if stands else trace
 
 
 def _estimate(
@@ -96,7 +87,7 @@ def _estimate(
         entries = last.tensordict
         phase, mode = cast("Tensor", entries["phase"]), entries.get("mode", None)
         origin = cast("Tensor", entries.get(("odometry", "origin"), torch.zeros(1, 3))).numpy()
-    robot = controller.estimator.robot
+    robot = controller.robot
     row = random_estimates(controller.library, robot, phase, command, generator, mode)
     if PATH_ERROR not in controller.observation:
         return row
@@ -112,12 +103,11 @@ def _state(
     stand: np.ndarray,
 ) -> ControllerState:
     """State after a step of the trace."""
-    estimate = split_estimate(row, controller.estimator.robot)
-    commanded, ahead = torch.from_numpy(command)[None], torch.tensor(heading)[None].float()
-    wish = torch.from_numpy(stand)[None]
+    estimate = split_estimate(row, controller.robot)
+    given = {"stand": stand[None], "heading": heading[None]}
     if last is None:
-        return controller.start(estimate, commanded, stand=wish, phase=_PHASE, heading=ahead)
-    return controller.step(last, estimate, commanded, stand=wish, heading=ahead)[0]
+        return controller.start(estimate, command[None], phase=_PHASE, **given)
+    return controller.step(last, estimate, command[None], **given)[0]
 
 
 def random_commands(library: GaitLibrary, count: int, generator: np.random.Generator) -> np.ndarray:

@@ -17,7 +17,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
-from aslip.control.contract import observed_name
 from aslip.control.controller import PATH_ERROR, Controller
 from aslip.control.estimates import POSITION, standing_estimate
 from aslip.control.exported_file import check_graph
@@ -48,11 +47,6 @@ _ESTIMATE = {
     "joint_velocity": ("rad/s", ""),
 }
 _AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
-# last word of the name of any other entry -> unit
-_UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"} | {
-    "origin": "m"
-}
-_MOTOR_UNITS = {"position": "rad", "velocity": "rad/s", "target": "rad"}
 _MODES = "0 walks, 1 stops, 2 stands, 3 starts"
 # opset that onnxruntime supports since 1.17
 _OPSET = 18
@@ -119,8 +113,6 @@ class PolicyStep(nn.Module):
                 f"the policy observes {odd}, which robots do not estimate themselves, so it cannot"
                 " be exported"
             )
-        # entries of the observation that no other output has
-        self._observed = [name for name in names if not name.startswith("estimate/")]
         found = controller.start(standing_estimate(self._robot)).tensordict
         memory = cast("TensorDictBase", found.get("next", TensorDict()))
         self._memory = {name: cast("Tensor", memory[name]) for name in memory.keys()}  # noqa: SIM118
@@ -205,9 +197,8 @@ class PolicyStep(nn.Module):
         values |= {"estimate": estimate, **{name: found["next", name] for name in self._memory}}
         if self._placed:
             values |= {name: found["odometry", name] for name in PATH_SIZES}
-        observed = {observed_name(n): found[tuple(n.split("/"))] for n in self._observed}
         # copies: outputs of a graph must be distinct from its inputs and from each other
-        return {n: cast("Tensor", v).clone() for n, v in {**observed, **values}.items()}
+        return {n: cast("Tensor", v).clone() for n, v in values.items()}
 
     def _inputs(self, found: TensorDictBase) -> list[Entry]:
         """Inputs of the graph, with examples from a controller's entries."""
@@ -293,23 +284,7 @@ def _output(name: str, value: Tensor, robot: Robot) -> Entry:
         "filtered_command": Entry(name, value, _axes(value.shape[-1]), "m/s, rad/s"),
         "estimate": Entry(name, value, frame=_HEADING, meaning="entries of the estimate, in order"),
     }
-    if name in known:
-        return known[name]
-    seen = name.removeprefix("observed/")
-    if seen == "last_action":
-        return Entry(name, value, motors, "rad")
-    if seen in ("command", "filtered_command"):
-        return Entry(name, value, _axes(value.shape[-1]), "m/s, rad/s")
-    last = name.split("_")[-1]
-    if name.startswith("reference/motor"):
-        return Entry(name, value, motors, _MOTOR_UNITS[last])
-    elements = () if name.startswith("clock/") else _AXES.get(value.shape[-1], ())
-    return Entry(name, value, elements, _UNITS.get(last, ""), _frame(name))
-
-
-def _frame(name: str) -> str:
-    """Frame of an entry of the reference."""
-    return _MOVING if name.startswith("reference/") else ""
+    return known.get(name, Entry(name, value))
 
 
 def trace_graph(

@@ -34,14 +34,15 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
     Args:
         policy: name of a shipped policy, policy file, folder of a training run, or exported policy.
         library: gait library of the policy: file, or name of a shipped one; by default that of the
-            policy's stack. An exported policy contains its library; one given here must equal it.
+            policy's stack. An exported policy contains its library.
 
     Raises:
         AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
-        ConfigurationError: policy and library, or policy and robot, do not fit.
+        ConfigurationError: policy and library, or policy and robot, do not fit; or a library is
+            given for an exported policy.
     """
     exported = Path(policy).suffix == ".onnx"
-    loaded = _of_export(user_path(policy), library) if exported else _of_torch(policy, library)
+    loaded = _of_export(policy, library) if exported else _of_torch(policy, library)
     try:
         warm_up(loaded.controller)
     except Exception as error:  # networks fail in many ways
@@ -68,14 +69,18 @@ def warm_up(controller: ControllerBase[Any]) -> None:
         raise ConfigurationError(f"its motor targets are not ten finite angles: {target.tolist()}")
 
 
-def _of_export(path: Path, library: str | Path | None) -> Loaded:
+def _of_export(policy: str | Path, library: str | Path | None) -> Loaded:
     """Controller of an exported policy."""
     # imported late: other policies run without onnxruntime
     from aslip.control.exported import ExportedController
 
-    controller = ExportedController(path, library=None if library is None else str(library))
+    if library is not None:
+        raise ConfigurationError(
+            f"the exported policy {str(policy)!r} contains its library; give none, got {library!r}"
+        )
+    controller = ExportedController(policy)
     controller.verify()
-    return Loaded(controller, {"policy.onnx": path.read_bytes()})
+    return Loaded(controller, {"policy.onnx": controller.path.read_bytes()})
 
 
 def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
@@ -91,12 +96,7 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     # one robot: more threads only cost time
     torch.set_num_threads(1)
     path = find_policy(policy)
-    needed = policy_library(path)
-    library = library or needed
-    if library in SHIPPED and library != needed:
-        raise ConfigurationError(
-            f"the policy {str(policy)!r} needs the library {needed!r}, got {library!r}"
-        )
+    library = library or policy_library(path)
     file = asset_path(f"{library}.npz") if library in SHIPPED else user_path(library)
     controller = Controller(path, GaitLibrary.load(library))
     return Loaded(controller, {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()})

@@ -16,19 +16,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-import aslip
-from aslip.base.provenance import commit, versions
 from aslip.control.base import ControllerBase
 from aslip.errors import AslipError, FileDamagedError, machine_failed
 from aslip.log import messages, read
 from aslip.log.messages import MessageType
-from aslip.log.template import Marks, Template
+from aslip.log.template import FlatTopic
 from aslip.log.writer import LogWriter
 from aslip.network.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.network.runner.supervisor import (
@@ -79,24 +76,14 @@ class RunLog:
         self, path: Path, packet: Packet, files: Mapping[str, bytes], metadata: Mapping[str, str]
     ) -> None:
         self._writer = LogWriter(path)
-        packages = ("numpy", "torch", "onnxruntime")
-        self._writer.attach(
-            files,
-            {
-                "format": messages.FORMAT,
-                "version/aslip": aslip.__version__,
-                "commit": commit() or "",
-                **{f"version/{name}": found or "" for name, found in versions(packages).items()},
-                "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-                FILES: " ".join(files),
-                **metadata,
-            },
-        )
+        metadata = {FILES: " ".join(files), **metadata}
+        self._writer.attach(files, metadata, ("numpy", "torch", "onnxruntime"))
         kind = MessageType("aslip_msgs/msg/Packet", f"int32 step\nuint8[{packet.size}] packet")
         self._received = self._writer.open_channel("/received", kind)
         self._notes = self._writer.open_channel("/log", messages.LOG)
-        self._tick = self._flat("/tick", [*_REQUEST, "stage", *_command_names(), *_TIMING])
-        self._estimate: tuple[int, Template] | None = None
+        names = [*_REQUEST, "stage", *_command_names(), *_TIMING]
+        self._tick = FlatTopic(self._writer, "/tick", names)
+        self._estimate: FlatTopic | None = None
         self._flushed = 0
 
     def packet(self, time_ns: int, step: int, record: np.ndarray) -> None:
@@ -125,8 +112,7 @@ class RunLog:
         """
         asked = [*map(float, request[:5]), float(bool(request.damp)), float(request.stand)]
         values = np.concatenate([asked, [_STAGES.index(stage)], *command, timing])
-        channel, template = self._tick
-        self._writer.write(channel, time_ns, template.encode(time_ns, values))
+        self._tick.write(time_ns, values)
         if reading is not None:
             self._write_estimate(time_ns, reading)
         if time_ns - self._flushed >= _SECOND:
@@ -135,11 +121,8 @@ class RunLog:
 
     def note(self, time_ns: int, text: str) -> None:
         """Add a line to `/log` at a time [ns]."""
-        message = {
-            "stamp": messages.stamp(time_ns), "level": messages.INFO, "name": "aslip",
-            "msg": text, "file": "", "function": "", "line": 0,
-        }  # fmt: skip
-        self._writer.write(self._notes, time_ns, messages.LOG.encode(message))
+        message = messages.LOG.encode(messages.note(time_ns, text))
+        self._writer.write(self._notes, time_ns, message)
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Finish the file with further metadata."""
@@ -153,19 +136,8 @@ class RunLog:
                 for name, value in zip(ESTIMATE_ENTRIES, values, strict=True)
                 for part in messages.component_names(name, value.size)
             ]
-            self._estimate = self._flat("/estimate", names)
-        channel, template = self._estimate
-        data = template.encode(time_ns, np.concatenate(values))
-        self._writer.write(channel, time_ns, data)
-
-    def _flat(self, topic: str, names: Sequence[str]) -> tuple[int, Template]:
-        """Channel and template of a topic of named numbers."""
-        kind = messages.flat_type(topic.strip("/").title(), "float64", names)
-
-        def build(marks: Marks) -> dict[str, Any]:
-            return {name: marks.number() for name in names}
-
-        return self._writer.open_channel(topic, kind), Template(kind, build)
+            self._estimate = FlatTopic(self._writer, "/estimate", names)
+        self._estimate.write(time_ns, np.concatenate(values))
 
 
 def run_metadata(policy: str, readings: Readings, limits: Limits) -> dict[str, str]:

@@ -3,7 +3,6 @@
     python -m aslip.network.twin                     # PD mode in lockstep, 127.0.0.1:25000
     python -m aslip.network.twin --real-time         # at 2 kHz, as the robot
     python -m aslip.network.twin --real-time --raw   # torques in, sensors out
-    python -m aslip.network.twin --real-time --live  # with a page to watch, push and stop it
     python -m aslip.network.twin --engine drake      # in Drake instead of MuJoCo
 
 In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from aslip.base.command_line import command_line, say
 from aslip.base.processes import signals_exit
@@ -31,12 +30,6 @@ from aslip.network.wire import (
     Endpoint,
     Link,
 )
-from aslip.robot import CASSIE
-
-if TYPE_CHECKING:
-    from aslip.network.twin.page import TwinPage
-    from aslip.network.twin.real_time import RealTimeServer
-    from aslip.network.twin.robot import TwinRobot
 
 
 @dataclass(frozen=True)
@@ -56,10 +49,6 @@ class Config:
     estimate."""
     real_time: bool = False
     """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
-    live: bool = False
-    """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
-    page_port: int = 8080
-    """Port of the page, at the address of the twin; 0 lets the system choose one."""
 
 
 def main(config: Config) -> None:
@@ -69,52 +58,21 @@ def main(config: Config) -> None:
     local = Address(config.address, config.port)
     with Endpoint(link, local, beyond_loopback=config.beyond_loopback) as endpoint:
         # imported late: a port in use is reported at once
-        from aslip.network.twin import ENGINES, TwinRobot
-        from aslip.network.twin.page import TwinPage
+        from aslip.network.twin import ENGINES, RealTimeServer, TwinRobot, serve_lockstep
 
         robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
-        page = TwinPage(robot, config.address, config.page_port) if config.live else None
+        server = RealTimeServer(robot, endpoint, say=say) if config.real_time else None
+        say(f"waiting for commands at {endpoint.local}; Ctrl-C ends")
         try:
             with contextlib.suppress(KeyboardInterrupt), signals_exit():
-                serve(config, robot, endpoint, page)
+                if server is None:
+                    serve_lockstep(robot, endpoint)
+                else:
+                    server.run()
         finally:
+            ticks = f"lockstep: {robot.ticks} ticks" if server is None else server.load
             counts = {name: number for name, number in asdict(link.counters).items() if number}
-            say(f"{robot.divergences} divergences, datagrams: {counts}")
-            if page is not None:
-                page.close()
-
-
-def serve(config: Config, robot: TwinRobot, endpoint: Endpoint, page: TwinPage | None) -> None:
-    """Serve clients in lockstep or in real time."""
-    from aslip.network.twin import RealTimeServer, serve_lockstep
-
-    server = None
-    if config.real_time:
-        server = RealTimeServer(robot, endpoint, say=say)
-
-    def stop() -> bool:
-        if page is not None:
-            page.update(lambda: lines(robot, endpoint, server))
-        return False
-
-    seen = "" if page is None else f", page at {page.url}"
-    say(f"waiting for commands at {endpoint.local}{seen}; Ctrl-C ends")
-    try:
-        if server is None:
-            serve_lockstep(robot, endpoint, stop)
-        else:
-            server.run(stop)
-    finally:
-        say(f"lockstep: {robot.ticks} ticks" if server is None else f"real time: {server.load}")
-
-
-def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -> dict[str, str]:
-    """Lines of text on the page."""
-    shown = {
-        "time": f"{robot.ticks * CASSIE.physics_timestep:.2f} s since it was set on its feet",
-        "client": "none yet" if endpoint.peer is None else str(endpoint.peer),
-    }
-    return shown if server is None else {**shown, "real time": str(server.load)}
+            say(f"{ticks}\n{robot.divergences} divergences, datagrams: {counts}")
 
 
 if __name__ == "__main__":

@@ -3,42 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Final, Union
 
 from aslip.robot import Robot
-from aslip.sim import MakeDrive, Sensors, Simulations, Snapshot
+from aslip.sim import MakeDrive, Simulations
 from aslip.sim.drake import Contact
 
+if TYPE_CHECKING:
+    from aslip.sim.drake import DrakeSimulation
 
-class Engine(Protocol):
-    """Simulation of one robot with its low level; see `aslip.sim.Simulations` for all members."""
 
-    sensors: Sensors
-    divergences: int
-
-    def stand(self) -> None:
-        """Set the robot on its feet, at rest."""
-        ...
-
-    def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
-        """Run one period; return (1,) bool, True if the simulation diverged and was reset."""
-        ...
-
-    @property
-    def motor_torque(self) -> np.ndarray:
-        """(1, m) torques of the motors at the joints in the last substep [N m]."""
-        ...
-
-    def snapshot(self) -> Snapshot:
-        """Arrays of the true state."""
-        ...
-
-    def states(self) -> np.ndarray:
-        """(1, k) copy of the complete state."""
-        ...
-
+Engine = Union[Simulations, "DrakeSimulation"]
+"""Simulation of one robot with its low level."""
 
 MakeEngine = Callable[[Robot, MakeDrive], Engine]
 """Function of robot and drive that makes a simulation."""
