@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import stat
 import threading
 import tracemalloc
@@ -18,7 +19,7 @@ import pytest
 import torch
 
 from aslip.base.archive import SUMS, ArchiveFormat, from_npy, npy
-from aslip.base.writing import commit, replacing
+from aslip.base.writing import replacing
 from aslip.errors import AslipError, FileDamagedError
 from tests.contracts.archives import (
     Program,
@@ -59,9 +60,6 @@ def path(kind: Kind, intact: dict[str, bytes], tmp_path: Path) -> Path:
 def _step(kind: Kind) -> int:
     """Stride between damaged places: reading, checking and recovering a log takes a second."""
     return 1 if kind.archive else 20
-
-
-# ------------------------------------------------------------------------- reading
 
 
 @every_kind
@@ -174,15 +172,8 @@ def test_pickles_in_an_archive_are_not_run(kind: Kind, path: Path, tmp_path: Pat
             kind.load(path)
         assert not mark.exists()
     # a program that runs does leave its file
-    with suppress(Exception):
-        torch.load(io.BytesIO(_saved(Program(mark))), weights_only=False)
+    pickle.loads(pickle.dumps(Program(mark)))
     assert mark.exists()
-
-
-def _saved(program: Program) -> bytes:
-    buffer = io.BytesIO()
-    torch.save(program, buffer)
-    return buffer.getvalue()
 
 
 @every_archive
@@ -206,16 +197,12 @@ def test_archives_with_changed_removed_or_added_entries_are_refused(kind: Kind, 
 
 
 @every_archive
-@pytest.mark.parametrize("name", ["", "aslip policy 99", "aslip gait library 1"])
-def test_other_versions_are_refused(kind: Kind, path: Path, name: str) -> None:
-    path.write_bytes(forge_archive({**read_zip(path.read_bytes()), "format": name.encode()}))
-    with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
-        kind.load(path)
-
-
-@every_archive
-def test_files_without_hashes_are_refused(kind: Kind, path: Path) -> None:
+def test_other_versions_and_files_without_hashes_are_refused(kind: Kind, path: Path) -> None:
     parts = read_zip(path.read_bytes())
+    for name in ("", "aslip policy 99", "aslip gait library 1"):
+        path.write_bytes(forge_archive({**parts, "format": name.encode()}))
+        with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
+            kind.load(path)
     path.write_bytes(write_zip({name: parts[name] for name in parts if name != SUMS}))
     with pytest.raises(FileDamagedError, match=f"{SUMS} is missing"):
         kind.load(path)
@@ -323,9 +310,6 @@ def test_empty_arrays_of_huge_shapes_are_refused(kind: str, shape: tuple[int, ..
         from_npy(buffer.getvalue())
 
 
-# ------------------------------------------------------------------------- writing
-
-
 @every_kind
 def test_full_disk_keeps_the_old_file(kind: Kind, path: Path) -> None:
     """An OSError is raised, and only the old file is in the folder."""
@@ -382,21 +366,6 @@ def test_content_is_synced_before_the_rename(kind: Kind, path: Path, calls: list
     assert calls == [f"sync {path.stat().st_size} bytes", "rename", "sync folder"]
 
 
-def test_replacing_syncs_renames_and_syncs_the_folder(tmp_path: Path, calls: list[str]) -> None:
-    with replacing(tmp_path / "file") as file:
-        file.write(b"12345")
-    assert calls == ["sync 5 bytes", "rename", "sync folder"]
-    assert (tmp_path / "file").read_bytes() == b"12345"
-
-
-def test_commit_flushes_the_buffer_before_it_syncs(tmp_path: Path, calls: list[str]) -> None:
-    file = (tmp_path / "temporary").open("wb")
-    file.write(b"123")
-    commit(file, tmp_path / "file")
-    assert calls == ["sync 3 bytes", "rename", "sync folder"]
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
 @pytest.mark.parametrize("error", [OSError("no space left"), KeyboardInterrupt()])
 def test_interrupted_writes_keep_the_old_file(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "file"
@@ -406,8 +375,3 @@ def test_interrupted_writes_keep_the_old_file(tmp_path: Path, error: BaseExcepti
         raise error
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_replacing_in_a_missing_folder_raises_os_error(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="nowhere"), replacing(tmp_path / "nowhere" / "file"):
-        pass

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 from collections.abc import Callable
 from typing import cast
 
@@ -67,15 +65,6 @@ def test_motor_targets_are_those_of_packets_that_give_the_same_estimates(
 ) -> None:
     for ours, theirs in zip(follow(controller, walk, dict, 0.0), walk, strict=True):
         assert torch.equal(ours.motor_target, theirs.motor_target)
-
-
-def test_states_have_the_documented_keys(
-    controller: Controller, walk: list[ControllerState]
-) -> None:
-    text = inspect.getsource(ControllerState).split("environment's tensordict:")[1]
-    always, packets, own = re.split(r"With\s+packets|with\s+robots|where", text)[:3]
-    for state, differing in ((walk[0], packets), (controller.start(estimates(walk[0])), own)):
-        assert set(re.findall(r"`(\w+)`", always + differing)) <= set(state.tensordict.keys())
 
 
 def test_estimates_are_turned_to_the_heading(

@@ -19,8 +19,7 @@ from tensordict import TensorDict
 import aslip
 from aslip.base.assets import asset_path
 from aslip.base.provenance import commit
-from aslip.envs import BatchEnv, SimulatedEnv, default_stack
-from aslip.envs.dm_control import DmControlEnv
+from aslip.envs import BatchEnv, default_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
 from aslip.library import GaitLibrary
@@ -30,7 +29,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.sim import Torque
-from aslip.transforms.rewards import PAPER_WEIGHTS
+from aslip.transforms import TrueState, WeightedReward
 from tests.log.helpers import MakeRecorded, run
 
 Walk = tuple[Path, list[TensorDict]]
@@ -142,20 +141,18 @@ def test_files_and_settings_are_attached(recording: Recording) -> None:
     assert config["seed"] == 4
     assert config["backend"] == "BatchEnv"
     assert config["stack"]["reward"].startswith("WeightedReward(")
-    for name, weight in PAPER_WEIGHTS.items():
-        assert f"'{name}': '{weight:g}'" in config["stack"]["reward"]
     assert recording.metadata["seed"] == "4"
+    assert recording.metadata["commit"] == (commit() or "")
+    assert recording.metadata["version/python"] == platform.python_version()
     assert recording.metadata["version/mujoco"] == mujoco.__version__
     assert recording.end["policy_steps"] == "80"
 
 
 def test_episodes_and_their_ends_are_noted(walk: Walk, recording: Recording) -> None:
-    notes = recording["/log"]
+    notes = recording["/log"]["msg"]
     done = [i for i, td in enumerate(walk[1]) if td["next", "done"]]
-    begun = [text for text in notes["msg"] if "begins" in text]
-    assert len(begun) == len(done) + 1
-    ended = [text for text in notes["msg"] if "ends" in text]
-    assert ended[0] == f"episode 0 ends after {done[0] + 1} steps: terminated"
+    assert sum("begins" in text for text in notes) == len(done) + 1
+    assert f"episode 0 ends after {done[0] + 1} steps: terminated" in notes
     assert recording.end["episodes"] == str(len(done) + 1)
 
 
@@ -251,34 +248,15 @@ def test_recording_does_not_change_the_simulation(
         assert float(td["next", "reward"]) == float(other["next", "reward"])
 
 
-def test_same_seed_gives_the_same_messages(
-    make_recorded: MakeRecorded, tmp_path: Path, walk: Walk
-) -> None:
-    again = tmp_path / "again.mcap"
-    env = make_recorded(again, policy="straight", config={"why": "a test"})
-    run(env, 80)
-    env.close()
-    one, two = walk[0].read_bytes(), again.read_bytes()
-    # all but the metadata, where the clock is: from the attachments to the summary
-    start = one.index(b"<mujoco model")
-    assert two.index(b"<mujoco model") == start
-    assert one[start : int(0.9 * len(one))] == two[start : int(0.9 * len(two))]
-
-
 def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> None:
     """A stack with the true state, fewer reward terms and another friction."""
     stack = default_stack(library)
-    for name in ("noise", "foot_orient", "reward"):
+    for name in ("noise", "foot_orient"):
         del stack[name]
-    from aslip.transforms import TrueState, WeightedReward
-
     stack["estimator"] = TrueState()
-    weights = {"com_vel": 0.5, "foot_pos": 0.5, "straight_diff": 0.0, "action_diff": 0.0}
-    names = list(stack)
-    ordered = {name: stack[name] for name in names[: names.index("action_diff") + 1]}
-    ordered["reward"] = WeightedReward(weights)
-    ordered["recorder"] = Recorder(tmp_path / "a.mcap")
-    env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6, seed=0)
+    stack["reward"] = WeightedReward({"com_vel": 0.5, "foot_pos": 0.5})
+    stack["recorder"] = Recorder(tmp_path / "a.mcap")
+    env = aslip.make_env(stack=stack, num_threads=1, floor_friction=0.6, seed=0)
     run(env, 3)
     env.close()
     log = read(tmp_path / "a.mcap")
@@ -288,12 +266,9 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
     assert replay(log).equal
 
 
-@pytest.mark.parametrize("backend", [BatchEnv, DmControlEnv])
-def test_low_level_unknown_to_replays_is_refused(
-    backend: type[SimulatedEnv], tmp_path: Path
-) -> None:
+def test_low_level_unknown_to_replays_is_refused(tmp_path: Path) -> None:
     stack = {**default_stack(), "recorder": Recorder(tmp_path / "walk.mcap")}
-    env = aslip.make_env(base=partial(backend, drive=Torque), stack=stack, seed=0)
+    env = aslip.make_env(base=partial(BatchEnv, drive=Torque), stack=stack, seed=0)
     with pytest.raises(ConfigurationError, match=r"cannot record drive=.*Torque"):
         env.reset()
     assert not list(tmp_path.iterdir())
@@ -327,12 +302,6 @@ def test_robot_description_has_the_poses_of_the_first_transforms(recording: Reco
     model = load_model()
     shown = sum(model.geom_group == 1)
     assert len(list(robot.iter("visual"))) >= shown + len(ROM_FRAMES)
-
-
-def test_log_names_commit_and_versions(recording: Recording) -> None:
-    assert recording.metadata["commit"] == (commit() or "")
-    assert recording.metadata["version/mujoco"] == mujoco.__version__
-    assert recording.metadata["version/python"] == platform.python_version()
 
 
 def test_component_names_are_in_order() -> None:

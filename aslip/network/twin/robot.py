@@ -92,11 +92,6 @@ class TwinRobot:
         """Whether the operator's emergency stop is pressed."""
         return bool(self.radio[STOP_CHANNEL] < 0)
 
-    @property
-    def qpos(self) -> np.ndarray:
-        """(35,) generalised positions; a copy."""
-        return self._engine.snapshot().qpos[0].copy()
-
     def packet(self) -> dict[str, np.ndarray]:
         """Readings of the last tick: entries of `Robot.packet_sizes`, (k,) in single precision."""
         return {name: value.astype(np.float32) for name, value in self._readings().items()}

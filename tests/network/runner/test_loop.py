@@ -149,7 +149,6 @@ def test_other_logs_are_not_replayed(tmp_path: Path) -> None:
     ("files", "more", "message"),
     [
         ({"../evil": b"x"}, {}, "its files are"),
-        ({"policy.onnx": b"x"}, {"limits/tilt": "x"}, "could not convert"),
         ({"policy.onnx": b"x"}, {"limits/colour": "1"}, "colour"),
     ],
 )
@@ -255,9 +254,7 @@ def test_a_silent_robot_is_reported_with_what_to_check(loaded: Loaded) -> None:
 
 def test_the_tally_counts_late_and_skipped_steps() -> None:
     tally = Tally([0.0, LATE / 2, 2 * LATE], [0.001] * 3, [0.002] * 3, skipped=1)
-    assert tally.late() == 2
     assert "3 policy steps, 1 skipped, 2 late by more than 2 ms (50.00 %)" in tally.lines()[0]
-    assert Tally().lines() == ["no policy steps"]
 
 
 def test_a_priority_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:

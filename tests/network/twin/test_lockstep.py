@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from typing import cast
 
@@ -151,20 +150,12 @@ def test_commands_that_are_not_finite_move_nothing() -> None:
         assert server.link.counters.not_finite == 3
 
 
-def test_the_program_serves_a_client_and_reports_a_port_in_use() -> None:
-    program = [sys.executable, "-m", "aslip.network.twin", "--port"]
-    with started([*program, "0"]) as process:
+def test_the_program_serves_a_client() -> None:
+    with started([sys.executable, "-m", "aslip.network.twin", "--port", "0"]) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         port = line.split(f"{SIMULATOR.host}:")[1].split(";")[0]
         with socket_to(Address(LOOPBACK, int(port))) as client:
             client.request(command_to_pd_in(STANDING), timeout=30.0)
-        other = subprocess.run([*program, port], capture_output=True, text=True, check=False)
-        assert other.returncode == 1
-        assert other.stderr.startswith(f"error: another program listens at 127.0.0.1:{port}")
         process.send_signal(2)
         assert "lockstep: 1 ticks\n0 divergences" in process.stdout.read()
-    wide = subprocess.run(
-        [*program, "0", "--address", "0.0.0.0"], capture_output=True, text=True, check=False
-    )
-    assert "beyond this machine" in wide.stderr

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -104,12 +103,6 @@ def test_physics_at_1_khz_is_recorded(make_recorded: MakeRecorded, tmp_path: Pat
 # ------------------------------------------------------- other models, forged logs
 
 
-def _settings(recording: Recording, **changes: Any) -> Recording:
-    settings = {**json.loads(recording.attachments["model.json"]), **changes}
-    files = {**recording.attachments, "model.json": json.dumps(settings).encode()}
-    return replace(recording, attachments=files)
-
-
 def test_another_model_is_refused_unless_it_is_given(recording: Recording, tmp_path: Path) -> None:
     """The model attached to a log is named by its hash, and not compiled."""
     xml = asset_path("cassie.xml").read_bytes()
@@ -124,35 +117,29 @@ def test_another_model_is_refused_unless_it_is_given(recording: Recording, tmp_p
     assert replay(other, model=tmp_path / "same.xml").equal
     heavy = replay(recording, model=tmp_path / "heavy.xml")
     assert not heavy.equal
-    assert "compiles differently" in heavy.doubts[0]
+    assert heavy.doubts[0].startswith("model_digest is")
     with pytest.raises(FileDamagedError, match=r"compiled from .*gone\.xml"):
         replay(recording, model=tmp_path / "gone.xml")
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"gravity": [0, 0, 9.81]},
-        {"robot": "mine"},
-        {"timestep": 0.05},
-        {"memory": 10**9},
-        {"memory": 8.5},
-        {"floor_friction": float("inf")},
-        {"floor_friction": [1.0]},
-    ],
+WRONG_SETTINGS = (
+    {"gravity": [0, 0, 9.81]},
+    {"robot": "mine"},
+    {"timestep": 0.05},
+    {"memory": 10**9},
+    {"memory": 8.5},
+    {"floor_friction": float("inf")},
+    {"floor_friction": [1.0]},
 )
-def test_settings_of_the_model_out_of_range_are_refused(
-    recording: Recording, settings: dict[str, Any]
-) -> None:
-    with pytest.raises(FileDamagedError, match="model of the log"):
-        replay(_settings(recording, **settings))
 
 
-@pytest.mark.parametrize("damage", [b"", b"[]", b"{}", b"[" * 100_000])
-def test_damaged_settings_of_the_model_are_refused(recording: Recording, damage: bytes) -> None:
-    files = {**recording.attachments, "model.json": damage}
-    with pytest.raises(FileDamagedError, match="model of the log"):
-        replay(replace(recording, attachments=files))
+def test_damaged_settings_of_the_model_are_refused(recording: Recording) -> None:
+    settings = json.loads(recording.attachments["model.json"])
+    wrong = [json.dumps({**settings, **change}).encode() for change in WRONG_SETTINGS]
+    for damage in (*wrong, b"", b"[]", b"{}", b"[" * 100_000):
+        files = {**recording.attachments, "model.json": damage}
+        with pytest.raises(FileDamagedError, match="model of the log"):
+            replay(replace(recording, attachments=files))
 
 
 def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray) -> Recording:
@@ -170,25 +157,24 @@ def test_forged_states_do_not_end_the_process(recording: Recording, value: float
     assert not replay(_with_column(recording, "/state", "integration", integration)).equal
 
 
-@pytest.mark.parametrize("size", [0, 301, 322])
-def test_states_of_wrong_size_are_refused(recording: Recording, size: int) -> None:
-    integration = np.resize(recording["/state"]["integration"], (len(recording["/state"]), size))
-    with pytest.raises(FileDamagedError, match=r"state of the log|remember .* commands"):
-        replay(_with_column(recording, "/state", "integration", integration))
+def test_states_of_wrong_size_are_refused(recording: Recording) -> None:
+    states = recording["/state"]
+    for size in (0, 301, 322):
+        integration = np.resize(states["integration"], (len(states), size))
+        with pytest.raises(FileDamagedError, match=r"state of the log|remember .* commands"):
+            replay(_with_column(recording, "/state", "integration", integration))
 
 
-@pytest.mark.parametrize("name", ["payload", "memory"])
-def test_dynamics_out_of_range_are_refused(recording: Recording, name: str) -> None:
-    for value in (1e9, np.nan):
-        column = np.full(len(recording["/dynamics"]), value)
-        with pytest.raises(FileDamagedError, match=f"{name}|commands"):
-            replay(_with_column(recording, "/dynamics", name, column))
+def test_dynamics_out_of_range_are_refused(recording: Recording) -> None:
+    for name in ("payload", "memory"):
+        for value in (1e9, np.nan):
+            column = np.full(len(recording["/dynamics"]), value)
+            with pytest.raises(FileDamagedError, match=f"{name}|commands"):
+                replay(_with_column(recording, "/dynamics", name, column))
 
 
-@pytest.mark.parametrize(
-    ("topic", "name"), [("/dynamics", "payload"), ("/step", "motor_target_left_knee")]
-)
-def test_columns_of_text_are_refused(recording: Recording, topic: str, name: str) -> None:
-    column = np.array(["much"] * len(recording[topic]))
-    with pytest.raises(FileDamagedError, match=f"{topic} must have one number"):
-        replay(_with_column(recording, topic, name, column))
+def test_columns_of_text_are_refused(recording: Recording) -> None:
+    for topic, name in (("/dynamics", "payload"), ("/step", "motor_target_left_knee")):
+        column = np.array(["much"] * len(recording[topic]))
+        with pytest.raises(FileDamagedError, match=f"{topic} must have one number"):
+            replay(_with_column(recording, topic, name, column))

@@ -171,10 +171,3 @@ def test_plotjuggler_layout_plots_logged_fields(recording: Recording) -> None:
         for motor in CASSIE.motor_names
         for field in ("position", "velocity", "effort")
     }
-    tabs = [tab.get("tab_name") for tab in root.iter("Tab")]
-    assert tabs == ["Velocity", "Reward", "Ground forces", "Motors"]
-    # PlotJuggler reads `count` sizes and children of a splitter
-    for splitter in root.iter("DockSplitter"):
-        sizes = [float(size) for size in str(splitter.get("sizes")).split(";")]
-        assert len(sizes) == len(splitter) == int(str(splitter.get("count")))
-        assert sum(sizes) == pytest.approx(1.0, abs=1e-3)

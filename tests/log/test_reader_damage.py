@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.records import Attachment, Message, Metadata, Schema
 
-from aslip.errors import AssetError, FileDamagedError
+from aslip.errors import FileDamagedError
 from aslip.log import Recording, read, recover
 from aslip.log.records import intact_records
 from aslip.log.writer import METADATA, open_writer
@@ -38,7 +38,7 @@ def _rewritten(
 def test_every_flipped_bit_is_found(log: Path, altered: Alter) -> None:
     """In data, summary or footer, also if a topic is read that it does not affect."""
     rng, size = np.random.default_rng(0), log.stat().st_size
-    for place in [*rng.integers(size, size=25), *range(size - 80, size, 3)]:
+    for place in [*rng.integers(size, size=8), *range(size - 80, size, 10)]:
         path = altered(lambda data, at=place: data.__setitem__(at, data[at] ^ 1 << at % 8))
         with pytest.raises(FileDamagedError, match=r"altered\.mcap"):
             read(path, ["/log"])
@@ -64,23 +64,20 @@ def test_error_of_a_damaged_log_names_the_damage_and_the_remedy(altered: Alter) 
         read(path)
 
 
-@pytest.mark.parametrize(
-    ("changes", "drop", "alter"),
-    [
-        ({}, "config.json", ""),
-        ({}, "", "config.json"),
-        ({"sha256/config.json": "0" * 64}, "", ""),
-        ({"sha256/config.json": None}, "", ""),
-    ],
-)
 def test_attachments_that_the_metadata_does_not_name_are_refused(
-    log: Path, whole: Recording, tmp_path: Path, changes: dict, drop: str, alter: str
+    log: Path, whole: Recording, tmp_path: Path
 ) -> None:
     """The attachment, or its hash, is missing or another one; all checksums are valid."""
-    metadata = {k: text for k, text in {**whole.metadata, **changes}.items() if text is not None}
-    path = _rewritten(log, tmp_path / "other.mcap", metadata, drop, alter)
-    with pytest.raises(FileDamagedError, match=r"attachment 'config\.json' is not the one"):
-        read(path)
+    key = "sha256/config.json"
+    unnamed = {name: text for name, text in whole.metadata.items() if name != key}
+    other = {**whole.metadata, key: "0" * 64}
+    name = "config.json"
+    for metadata, drop, alter in (
+        (whole.metadata, name, ""), (whole.metadata, "", name), (other, "", ""), (unnamed, "", "")
+    ):  # fmt: skip
+        path = _rewritten(log, tmp_path / "other.mcap", metadata, drop, alter)
+        with pytest.raises(FileDamagedError, match=r"attachment 'config\.json' is not the one"):
+            read(path)
 
 
 def test_chunk_of_excessive_size_is_refused(log: Path, tmp_path: Path) -> None:
@@ -128,7 +125,7 @@ def test_schema_with_forged_array_sizes_is_refused(log: Path, tmp_path: Path, co
         read(path)
 
 
-def test_other_formats_and_files_are_refused(log: Path, whole: Recording, tmp_path: Path) -> None:
+def test_other_formats_are_refused(log: Path, whole: Recording, tmp_path: Path) -> None:
     later = {**whole.metadata, "format": "99"}
     path = _rewritten(log, tmp_path / "later.mcap", later)
     for function in (read, recover):
@@ -137,10 +134,3 @@ def test_other_formats_and_files_are_refused(log: Path, whole: Recording, tmp_pa
         ) as raised:
             function(path)
         assert "python -m aslip.log recover" not in str(raised.value)
-    text = tmp_path / "notes.mcap"
-    text.write_text("walked well")
-    for function in (read, recover):
-        with pytest.raises(FileDamagedError, match=r"notes\.mcap'.* is not an MCAP file"):
-            function(text)
-        with pytest.raises(AssetError, match=r"gone\.mcap"):
-            function(tmp_path / "gone.mcap")

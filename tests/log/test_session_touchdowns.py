@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -66,13 +65,6 @@ def test_reset_of_an_airborne_robot_is_not_a_touchdown(
     env.close()
     log = read(tmp_path / "a.mcap")
     assert "/touchdown" not in log.series
-
-
-def test_planned_footholds_turn_with_the_robot(
-    make_recorded: Any, tmp_path: Path, library: GaitLibrary
-) -> None:
-    walk = _walk(make_recorded(tmp_path / "a.mcap"), tmp_path / "a.mcap", "straight", (1.0,))
-    _check_planned(walk, Footholds(library), (1.0,))
 
 
 def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -> None:
