@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
-from aslip.robot.robot import is_possible
+from aslip.robot.robot import LARGEST, is_possible
 
 POSITION = "position"
 """Optional entry of an estimate: position of the pelvis (3,) [m], level in the frame of the
@@ -72,11 +73,21 @@ def lost_entries(estimate: Mapping[str, np.ndarray]) -> list[str]:
 
 def mark_lost(rows: np.ndarray, robot: Robot) -> np.ndarray:
     """Joined estimates (n, e) with NaN in place of entries that no robot can have."""
-    parts = [
-        np.where(is_possible(name, part)[:, None], part, np.nan)
-        for name, part in split_estimate(rows, robot).items()
-    ]
-    return np.concatenate(parts, axis=1)
+    largest, at = _limits(robot, rows.shape[1])
+    good = np.abs(rows) <= largest
+    for name, part in at.items():
+        good[:, part] &= is_possible(name, rows[:, part])[:, None]
+    return rows if good.all() else np.where(good, rows, np.nan)
+
+
+@cache
+def _limits(robot: Robot, width: int) -> tuple[np.ndarray, dict[str, slice]]:
+    """Largest values (e,) of joined estimates, and places of entries with more conditions."""
+    sizes = _sizes(robot, width > sum(robot.estimate_sizes.values()))
+    ends = np.cumsum(list(sizes.values()))
+    places = {name: slice(end - sizes[name], end) for name, end in zip(sizes, ends, strict=True)}
+    largest = np.concatenate([np.full(size, LARGEST[name]) for name, size in sizes.items()])
+    return largest, {name: places[name] for name in ("height", "orientation")}
 
 
 def check_first(rows: np.ndarray, robot: Robot) -> None:

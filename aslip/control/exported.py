@@ -185,8 +185,8 @@ class ExportedController(ControllerBase[ExportedState]):
             name: np.asarray(values[name], kind) if name in values else np.zeros(shape, kind)
             for name, (kind, shape) in self._inputs.items()
         }
-        found = cast("list[np.ndarray]", self._session.run(self._outputs, feed))
-        return dict(zip(self._outputs, found, strict=True))
+        results = cast("list[np.ndarray]", self._session.run(self._outputs, feed))
+        return dict(zip(self._outputs, results, strict=True))
 
     def _replayed(self, trace: Mapping[str, np.ndarray]) -> list[Mapping[str, np.ndarray]]:
         """Outputs of the graph at each step of a golden trace."""

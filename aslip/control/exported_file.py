@@ -45,12 +45,12 @@ def open_policy(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession,
     if difference is not None:
         raise wrong(path, difference)
     with explained(path):
-        for kind, described, found in (
+        for kind, described, actual in (
             ("inputs", contract.inputs, session.get_inputs()),
             ("outputs", contract.outputs, session.get_outputs()),
         ):
             has = [(entry["name"], *entry["shape"]) for entry in described]
-            is_ = [(entry.name, *entry.shape) for entry in found]
+            is_ = [(entry.name, *entry.shape) for entry in actual]
             if has != is_:
                 unexpected: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
                 raise damaged(path, f"{kind} of its graph differ from its contract: {unexpected}")
@@ -82,10 +82,10 @@ def _session(data: bytes) -> onnxruntime.InferenceSession:
 def _reserve_memory() -> None:
     """Bound the memory that sessions of this process share; once per process."""
     kinds = onnxruntime.OrtAllocatorType, onnxruntime.OrtMemType
-    place = onnxruntime.OrtMemoryInfo("Cpu", kinds[0].ORT_ARENA_ALLOCATOR, 0, kinds[1].DEFAULT)
+    memory = onnxruntime.OrtMemoryInfo("Cpu", kinds[0].ORT_ARENA_ALLOCATOR, 0, kinds[1].DEFAULT)
     # the last three: grow as needed, default sizes
     arena = onnxruntime.OrtArenaCfg(_MEMORY, 1, -1, -1)
-    onnxruntime.create_and_register_allocator(place, arena)
+    onnxruntime.create_and_register_allocator(memory, arena)
 
 
 def _run_once(session: onnxruntime.InferenceSession, contract: Contract) -> None:

@@ -15,11 +15,11 @@ Pose = tuple[float, float, float]
 class Path(Protocol):
     """Curve on the ground, as a function of its arc length."""
 
-    def at(self, way: float) -> tuple[Pose, float]:
+    def at(self, distance: float) -> tuple[Pose, float]:
         """Pose of a point, whose yaw is that of the tangent, and curvature there [1/m].
 
         Args:
-            way: arc length from the start [m].
+            distance: arc length from the start [m].
         """
         ...
 
@@ -31,9 +31,9 @@ class Eight:
     radius: float = 3.0
     """Radius of the circles [m]."""
 
-    def at(self, way: float) -> tuple[Pose, float]:
+    def at(self, distance: float) -> tuple[Pose, float]:
         """Pose and curvature [1/m] at an arc length [m]; the path repeats after two circles."""
-        turns, angle = divmod(way / self.radius, 2 * math.pi)
+        turns, angle = divmod(distance / self.radius, 2 * math.pi)
         side = -1.0 if turns % 2 else 1.0
         x, y = self.radius * math.sin(angle), side * self.radius * (1 - math.cos(angle))
         return (x, y, side * angle), side / self.radius
@@ -69,22 +69,22 @@ class PathFollower:
     """Largest sideways speed towards the path [m/s]."""
 
     def command(
-        self, pose: Pose, heading: float, way: float
+        self, pose: Pose, heading: float, distance: float
     ) -> tuple[tuple[float, float, float], float]:
         """Command for the next policy step.
 
         Args:
             pose: estimated position and yaw of the pelvis.
             heading: yaw of the frame in which speeds are commanded [rad].
-            way: arc length of the nearest point, as returned at the last step [m]; 0 at the start.
+            distance: arc length of the nearest point, as the last step returned it [m]; 0 at first.
 
         Returns:
             Command: forward, sideways speed [m/s] and yaw rate [rad/s]; and arc length of the point
             of the path that is nearest now [m].
         """
-        way += self.errors(pose, way)[0]
-        _, left, turned = self.errors(pose, way)
-        (_, _, tangent), curvature = self.path.at(way)
+        distance += self.errors(pose, distance)[0]
+        _, left, turned = self.errors(pose, distance)
+        (_, _, tangent), curvature = self.path.at(distance)
         towards = min(max(-self.gain * left, -self.most), self.most)
         yaw = heading - tangent
         cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -93,16 +93,16 @@ class PathFollower:
             cosine * towards - sine * self.speed,
         )
         aimed = turned + min(max(self.aim * left, -_STEEPEST), _STEEPEST)
-        return (forward, sideways, curvature * self.speed - self.turn_gain * aimed), way
+        return (forward, sideways, curvature * self.speed - self.turn_gain * aimed), distance
 
-    def errors(self, pose: Pose, way: float) -> tuple[float, float, float]:
+    def errors(self, pose: Pose, distance: float) -> tuple[float, float, float]:
         """Distances ahead and to the left of a point of the path [m], and yaw error [rad].
 
         Args:
             pose: position and yaw of the robot.
-            way: arc length of the point [m].
+            distance: arc length of the point [m].
         """
-        (x, y, tangent), _ = self.path.at(way)
+        (x, y, tangent), _ = self.path.at(distance)
         dx, dy = pose[0] - x, pose[1] - y
         cosine, sine = math.cos(tangent), math.sin(tangent)
         turned = math.remainder(pose[2] - tangent, math.tau)

@@ -50,12 +50,12 @@ def start_entries(
     part, position = _tensors(rows, robot)
     if heading is None:
         heading = yaw(part["orientation"].numpy())[:, None]
-    ahead = torch.from_numpy(heading)
-    entries: Entries = {"estimate": turn_estimate(part, ahead), "heading": ahead}
+    turn = torch.from_numpy(heading)
+    entries: Entries = {"estimate": turn_estimate(part, turn), "heading": turn}
     if along_path and position is not None:
-        place = rotate_about_vertical(position, -ahead)
-        begun = start_origin(position)
-        entries["odometry"] = place_on_path(place, begun, ahead.float())
+        origin = torch.nn.functional.pad(position[:, :2], (0, 1)).float()
+        turned = rotate_about_vertical(position, -turn)
+        entries["odometry"] = place_on_path(turned, origin, turn.float())
     return entries
 
 
@@ -80,30 +80,22 @@ def next_entries(
         mode: new mode (n, 1) of robots that take stand commands, or None.
     """
     before = cast("Tensor", past["heading"] if heading is None else heading)
-    ahead = before
-    if command is not None:
-        ahead = advance_heading(before, command)
-    ahead = ahead.double()
+    turn = (before if command is None else advance_heading(before, command)).double()
     last = {name: cast("Tensor", past["estimate", name]) for name in robot.estimate_sizes}
     part, position = _tensors(mark_lost(rows, robot), robot)
-    entries: Entries = {"estimate": hold_estimate(part, ahead, last), "heading": ahead.clone()}
+    entries: Entries = {"estimate": hold_estimate(part, turn, last), "heading": turn.clone()}
     if command is not None and "odometry" in past:
         if position is None:
             position = torch.full((len(rows), 3), torch.nan, dtype=torch.float64)
         origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
-        place = rotate_about_vertical(position, -ahead)
         moved = advance_frame(origin, before.float(), command, error)
-        entries["odometry"] = place_on_path(place, *moved, error, mode)
+        turned = rotate_about_vertical(position, -turn)
+        entries["odometry"] = place_on_path(turned, *moved, error, mode)
     return entries
 
 
-def start_origin(position: Tensor) -> Tensor:
-    """Origin (n, 3) of the path of robots that start at positions (n, 3) [m]."""
-    return torch.nn.functional.pad(position[:, :2], (0, 1)).float()
-
-
 def place_on_path(
-    place: Tensor,
+    position: Tensor,
     origin: Tensor,
     heading: Tensor,
     last_error: Tensor | None = None,
@@ -112,7 +104,7 @@ def place_on_path(
     """Odometry of robots along the path of a command, see `aslip.transforms.path`.
 
     Args:
-        place: (n, 3) position of the pelvis [m, heading frame]; not finite if it is lost.
+        position: (n, 3) position of the pelvis [m, heading frame]; not finite if it is lost.
         origin: (n, 3) origin of the moving frame [m, frame of the estimates].
         heading: (n, 1) yaw of the frame [rad].
         last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
@@ -121,15 +113,14 @@ def place_on_path(
     Returns:
         `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.
     """
-    way = rotate_about_vertical(origin, -heading)
-    entries = {"pelvis_position": place.float() - way}
-    placed = place_in_path(entries, origin, heading, mode=mode)
-    found = {name: placed[name] for name in PATH_SIZES}
+    relative = position.float() - rotate_about_vertical(origin, -heading)
+    placed = place_in_path({"pelvis_position": relative}, origin, heading, mode=mode)
+    odometry = {name: placed[name] for name in PATH_SIZES}
     if last_error is None:
-        return found
-    lost = ~place.isfinite().all(-1, keepdim=True)
+        return odometry
+    lost = ~position.isfinite().all(-1, keepdim=True)
     held = {"origin": origin, "path_error": last_error}
-    return {name: torch.where(lost, held[name], value) for name, value in found.items()}
+    return {name: torch.where(lost, held[name], value) for name, value in odometry.items()}
 
 
 def hold_estimate(

@@ -28,10 +28,10 @@ from aslip.transforms.standing import (
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Motion that robots follow, from their commands and wishes to stand.
+    """Motion that robots follow, from their commands and stand commands.
 
     The clock is that of `PhaseClock`, with several axes of the command behind the filter
-    `CommandFilter`. Robots that stand on a wish have `StandClock` and `StandFilter`.
+    `CommandFilter`. Robots that take stand commands have `StandClock` and `StandFilter`.
 
     Raises:
         ConfigurationError: robots shall stand, and the library has no stop and start, or one axis,
@@ -43,7 +43,7 @@ class Steering:
     rates: tuple[float, ...]
     """Largest rates of the filtered command [m/s^2, rad/s^2]."""
     stands: bool
-    """True for robots that stand on a wish."""
+    """True for robots that take stand commands."""
     motor_lead: float
     """Lead of the motor references over the phase, in policy steps."""
 
@@ -68,15 +68,15 @@ class Steering:
         Args:
             command: (n, c) command.
             phase: (n, 1) stride fraction.
-            stand: (n, 1) wish to stand; None for robots that only walk.
+            stand: (n, 1) stand command; None for robots that only walk.
         """
-        phase, mode, steer = phase % 1.0, None, command
+        phase, mode, filtered = phase % 1.0, None, command
         if stand is not None:
             phase, mode = first_mode(transitions_of(self.library), phase, stand)
-            steer = led_command(command, stand, mode)
+            filtered = led_command(command, stand, mode)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
-            entries["filtered_command"] = steer.clone()
+            entries["filtered_command"] = filtered.clone()
         return entries
 
     def advance(
@@ -88,40 +88,40 @@ class Steering:
             past: `phase`, and `filtered_command` and `mode` where `begin` returned them; for robots
                 that stand the `estimate`, too.
             command: (n, c) command during the step.
-            stand: (n, 1) wish to stand during the step; None for robots that only walk.
+            stand: (n, 1) stand command during the step; None for robots that only walk.
 
         Returns:
             `command` and `phase`; with several axes of the command `filtered_command`; for robots
             that stand `stand` and `mode`, values of `aslip.library.WalkMode`.
         """
         phase, mode = past["phase"], None
-        steer = past["filtered_command"] if self.along_path else command
+        filtered = past["filtered_command"] if self.along_path else command
         if stand is None:
-            phase = advance_phase(self.library, phase, steer)
+            phase = advance_phase(self.library, phase, filtered)
         else:
             mode = past["mode"]
             balance = find_balance(past["estimate"])
-            phase, mode = advance_mode(self.library, phase, mode, steer, stand, balance=balance)
+            phase, mode = advance_mode(self.library, phase, mode, filtered, stand, balance=balance)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
             aim, rates = command, self.rates
             if stand is not None:
                 aim = led_command(command, stand, past["mode"])
                 rates = led_rates(self.rates, stand, past["mode"])
-            entries["filtered_command"] = approach_command(steer, aim, rates)
+            entries["filtered_command"] = approach_command(filtered, aim, rates)
         return entries
 
     def reference(self, present: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Entries of the reference and of the goal, see `ReferenceInjection`.
+        """Entries of the reference and of the target, see `ReferenceInjection`.
 
         Args:
             present: entries that `begin` or `advance` returned.
         """
-        steer = present["filtered_command" if self.along_path else "command"]
+        filtered = present["filtered_command" if self.along_path else "command"]
         standing = (present["mode"], present["stand"]) if self.stands else None
         return reference_and_goal(
             self.library,
-            steer,
+            filtered,
             present["phase"],
             motor_lead=self.motor_lead,
             standing=standing,

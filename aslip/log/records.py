@@ -70,10 +70,10 @@ def check_checksums(file: IO[bytes]) -> None:
     if zlib.crc32(file.read(size - start - len(_MAGIC) - 4)) != crc:
         raise ValueError("the summary is damaged: its checksum differs")
     file.seek(0)
-    found = 0
+    present = 0
     for first in range(0, data_end, _BLOCK):
-        found = zlib.crc32(file.read(min(_BLOCK, data_end - first)), found)
-    if found != data_crc:
+        present = zlib.crc32(file.read(min(_BLOCK, data_end - first)), present)
+    if present != data_crc:
         raise ValueError("the data section is damaged: its checksum differs")
 
 
@@ -102,16 +102,16 @@ def intact_records(file: IO[bytes]) -> Iterator[McapRecord]:
                 content += chunk.uncompressed_size
                 if content > max(LARGEST_CHUNK, _DENSEST_FILE * size):
                     raise ValueError(f"a file of {size} bytes would decompress to {content} bytes")
-                found = _opened(chunk)
+                records = _opened(chunk)
             else:
-                found = _parsed(opcode, data)
+                records = _parsed(opcode, data)
         except Exception as error:  # any error of a parser
             if machine_failed(error):
                 raise
             # messages of a parser need their type to be understood
             why = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
             raise ValueError(f"the record at byte {offset} is damaged: {why}") from error
-        yield from found
+        yield from records
 
 
 def _parsed(opcode: int, data: bytes) -> list[McapRecord]:

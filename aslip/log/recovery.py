@@ -87,13 +87,13 @@ def _check_content(path: Path, records: Sequence[McapRecord], reason: str) -> No
     Raises:
         FileDamagedError: it has not.
     """
-    found = {r.name: dict(r.metadata) for r in records if isinstance(r, Metadata)}
+    metadata = {r.name: dict(r.metadata) for r in records if isinstance(r, Metadata)}
     if not any(isinstance(record, Message) for record in records):
         raise FileDamagedError(
             f"{str(path)!r} has nothing to recover: {reason or 'it has no messages'}"
         )
     try:
-        check_metadata(found.get(METADATA))
+        check_metadata(metadata.get(METADATA))
     except ValueError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be recovered: {error}") from error
 

@@ -74,10 +74,10 @@ class Template:
         offsets = np.array(starts, dtype=np.intp)[:, None] + np.arange(self._dtype.itemsize)
         self._places = offsets.ravel()
         pattern, self._stamps = struct.pack("<iI", *_STAMP), []
-        found = encoded.find(pattern)
-        while found >= 0:
-            self._stamps.append(found)
-            found = encoded.find(pattern, found + 1)
+        at = encoded.find(pattern)
+        while at >= 0:
+            self._stamps.append(at)
+            at = encoded.find(pattern, at + 1)
         # adjacent numbers, as in flat messages, are inserted at once
         together = np.array_equal(self._places, self._places[0] + np.arange(len(self._places)))
         self._flat = together and not self._stamps

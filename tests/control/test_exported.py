@@ -206,9 +206,9 @@ def test_another_robot_is_refused(file: Path) -> None:
 
 def test_another_contract_version_is_refused(file: Path, tmp_path: Path) -> None:
     about = json.loads(ExportedController(file).contract.metadata["aslip"])
-    odd = altered(file, tmp_path / "odd.onnx", aslip=json.dumps({**about, "contract": 99}))
+    other = altered(file, tmp_path / "other.onnx", aslip=json.dumps({**about, "contract": 99}))
     with pytest.raises(ConfigurationError, match="version 99, this package reads 3"):
-        ExportedController(odd)
+        ExportedController(other)
 
 
 def test_a_wrong_golden_trace_is_caught(
@@ -216,42 +216,42 @@ def test_a_wrong_golden_trace_is_caught(
 ) -> None:
     wrong = {**trace, "target": trace["target"].copy()}
     wrong["target"][150, 3] += 3e-6
-    odd = altered(file, tmp_path / "odd.onnx", golden_trace=trace_text(wrong))
+    other = altered(file, tmp_path / "other.onnx", golden_trace=trace_text(wrong))
     with pytest.raises(
         FileDamagedError, match=r"differ by [23].* rad from those of its golden trace"
     ):
-        ExportedController(odd).verify()
-    odd = altered(file, tmp_path / "odd.onnx", golden_trace="???")
+        ExportedController(other).verify()
+    other = altered(file, tmp_path / "other.onnx", golden_trace="???")
     with pytest.raises(FileDamagedError, match="golden trace cannot be run"):
-        ExportedController(odd).verify()
+        ExportedController(other).verify()
 
 
 def test_other_inputs_than_in_the_contract_are_caught(file: Path, tmp_path: Path) -> None:
     interface = ExportedController(file).contract.metadata["interface"]
     renamed = interface.replace('"name": "height"', '"name": "altitude"')
-    odd = altered(file, tmp_path / "odd.onnx", interface=renamed)
+    other = altered(file, tmp_path / "other.onnx", interface=renamed)
     with pytest.raises(
         FileDamagedError, match=r"inputs of its graph differ from its contract: .*al"
     ):
-        ExportedController(odd)
+        ExportedController(other)
 
 
 # ------------------------------------------------------------------------- damage
 
 
 def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
-    data, odd = file.read_bytes(), tmp_path / "odd.onnx"
+    data, other = file.read_bytes(), tmp_path / "other.onnx"
     for cut in (0, 10, 5000, len(data) - 1):
-        odd.write_bytes(data[:cut])
+        other.write_bytes(data[:cut])
         with pytest.raises(FileDamagedError, match="truncated, or no exported policy"):
-            ExportedController(odd)
+            ExportedController(other)
     for place in (0, len(data) // 2, len(data) - 1):
-        odd.write_bytes(data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :])
+        other.write_bytes(data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :])
         with pytest.raises(FileDamagedError, match="altered since its export"):
-            ExportedController(odd)
-    odd.write_bytes(seal(b"no model"))
+            ExportedController(other)
+    other.write_bytes(seal(b"no model"))
     with pytest.raises(FileDamagedError, match="not an intact exported policy"):
-        ExportedController(odd)
+        ExportedController(other)
     with pytest.raises(AssetError, match="there is no exported policy"):
         ExportedController(tmp_path / "none.onnx")
 
@@ -259,18 +259,18 @@ def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
 def test_files_that_point_elsewhere_or_need_foreign_code_are_refused(
     file: Path, tmp_path: Path
 ) -> None:
-    odd = tmp_path / "odd.onnx"
+    other = tmp_path / "other.onnx"
     model = onnx.load_from_string(file.read_bytes())
     foreign = onnx.load_from_string(file.read_bytes())
     onnx.external_data_helper.set_external_data(model.graph.initializer[0], "elsewhere.bin")
-    odd.write_bytes(seal(model.SerializeToString()))
+    other.write_bytes(seal(model.SerializeToString()))
     with pytest.raises(FileDamagedError, match="points to data in another file"):
-        ExportedController(odd)
+        ExportedController(other)
     foreign.graph.node[0].domain = "someone"
     foreign.opset_import.add(domain="someone", version=1)
-    odd.write_bytes(seal(foreign.SerializeToString()))
+    other.write_bytes(seal(foreign.SerializeToString()))
     with pytest.raises(FileDamagedError, match="someone"):
-        ExportedController(odd)
+        ExportedController(other)
 
 
 def _metadata_faults(file: Path, trace: dict[str, np.ndarray]) -> Iterator[dict[str, str]]:
@@ -279,8 +279,8 @@ def _metadata_faults(file: Path, trace: dict[str, np.ndarray]) -> Iterator[dict[
     about, interface = json.loads(metadata["aslip"]), json.loads(metadata["interface"])
     for value in ({k: v for k, v in about.items() if k != "robot"}, {**about, "robot": 3}, []):
         yield {"aslip": json.dumps(value)}
-    odd_type = [{**interface["inputs"][0], "dtype": "x"}, *interface["inputs"][1:]]
-    for change in ({"inputs": None}, {"inputs": odd_type}, {"feedback": None}):
+    other_type = [{**interface["inputs"][0], "dtype": "x"}, *interface["inputs"][1:]]
+    for change in ({"inputs": None}, {"inputs": other_type}, {"feedback": None}):
         yield {"interface": json.dumps({**interface, **change})}
     yield {"interface": json.dumps({**interface, "feedback": {"x": "y"}})}
     yield {"interface": "null"}
@@ -305,9 +305,9 @@ def test_files_of_wrong_content_are_damaged_files(
 ) -> None:
     """Their hashes are right."""
     for change in _metadata_faults(file, trace):
-        odd = altered(file, tmp_path / "odd.onnx", **change)
-        with pytest.raises(FileDamagedError, match=r"odd\.onnx"):
-            ExportedController(odd).verify()
+        other = altered(file, tmp_path / "other.onnx", **change)
+        with pytest.raises(FileDamagedError, match=r"other\.onnx"):
+            ExportedController(other).verify()
 
 
 def _graph_fault(name: str, graph: onnx.GraphProto) -> None:
@@ -348,13 +348,13 @@ def test_graphs_without_bounds_are_refused(
 ) -> None:
     """Each would take gigabytes or minutes."""
     monkeypatch.setattr("aslip.control.exported_file._PATIENCE", 0.1)
-    model, odd = onnx.load_from_string(file.read_bytes()), tmp_path / "odd.onnx"
+    model, other = onnx.load_from_string(file.read_bytes()), tmp_path / "other.onnx"
     _graph_fault(name, model.graph)
     del model.metadata_props[-1]
-    odd.write_bytes(seal(model.SerializeToString()))
+    other.write_bytes(seal(model.SerializeToString()))
     start = time.monotonic()
     with pytest.raises(FileDamagedError, match=name):
-        ExportedController(odd)
+        ExportedController(other)
     assert time.monotonic() - start < 2.0
 
 

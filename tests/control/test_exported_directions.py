@@ -1,4 +1,4 @@
-"""Exported policies that walk in all directions along a path, and stand on a wish."""
+"""Exported policies that walk in all directions along a path, and take stand commands."""
 
 from __future__ import annotations
 
@@ -80,20 +80,20 @@ def test_the_golden_trace_covers_stops_and_starts(
 def test_motor_targets_are_those_of_the_controller(
     recurrent: Controller, turning: ExportedController, mode: str
 ) -> None:
-    """With new headings, lost estimates, a restart into standing, and wishes that hold."""
+    """With new headings, lost estimates, a restart into standing, and stand commands that hold."""
     rng = np.random.default_rng(2)
     rows: list[Any] = [
         standing_packet() + 0.01 * rng.standard_normal((1, 10, 42)) for _ in "x" * 40
     ]
     if mode == "estimates":
         rows = [estimate(row) for row in turning.contract.golden_trace()["estimate"][:40]]
-    wishes = {3: 1.0, 20: 0.0, 30: 1.0}
+    stands = {3: 1.0, 20: 0.0, 30: 1.0}
     both: list[Any] = [
         one.start(rows[0], [0.1, 0.0, 0.3], heading=0.2) for one in (recurrent, turning)
     ]
     modes = set()
     for i, row in enumerate(rows[1:]):
-        given: dict[str, Any] = {"stand": wishes.get(i), "heading": 1.0 if i == 9 else None}
+        given: dict[str, Any] = {"stand": stands.get(i), "heading": 1.0 if i == 9 else None}
         got = None if i == 12 else row
         if i == 32:  # a restart into standing
             again = {"command": [0.1, 0.0, 0.3], "stand": 1.0, "phase": 0.3}

@@ -136,8 +136,8 @@ def random_estimates(
         mode: (n, 1) values of `aslip.library.WalkMode`; walking by default.
     """
     at = robot.indices
-    found = library.initial_state(phase, torch.from_numpy(command), mode)
-    qpos, qvel = (values.numpy() for values in found)
+    state = library.initial_state(phase, torch.from_numpy(command), mode)
+    qpos, qvel = (values.numpy() for values in state)
     estimate = {
         "height": qpos[:, at.pelvis_position][:, 2:],
         "orientation": qpos[:, at.pelvis_orientation],

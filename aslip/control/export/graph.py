@@ -108,15 +108,15 @@ class PolicyStep(nn.Module):
         names = entry_names(controller.observation)
         self._placed = self._along_path and PATH_ERROR in controller.observation
         hidden = [name for name in names if not (self._placed and name == "/".join(PATH_ERROR))]
-        if odd := [name for name in hidden if name.startswith(("odometry", "estimator"))]:
+        if unknown := [name for name in hidden if name.startswith(("odometry", "estimator"))]:
             raise ConfigurationError(
-                f"the policy observes {odd}, which robots do not estimate themselves, so it cannot"
-                " be exported"
+                f"the policy observes {unknown}, which robots do not estimate themselves, so it"
+                " cannot be exported"
             )
-        found = controller.start(standing_estimate(self._robot)).tensordict
-        memory = cast("TensorDictBase", found.get("next", TensorDict()))
+        state = controller.start(standing_estimate(self._robot)).tensordict
+        memory = cast("TensorDictBase", state.get("next", TensorDict()))
         self._memory = {name: cast("Tensor", memory[name]) for name in memory.keys()}  # noqa: SIM118
-        self.inputs = self._inputs(found)
+        self.inputs = self._inputs(state)
         with torch.no_grad():
             values = self._step(*(entry.value for entry in self.inputs))
         self.outputs = [_output(name, value, self._robot) for name, value in values.items()]
@@ -186,21 +186,21 @@ class PolicyStep(nn.Module):
         origin, after = torch.where(first, last, origin), torch.where(first, before, after)
         return place_on_path(place, origin, after, error, mode)
 
-    def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
+    def _results(self, state: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
         names = ["motor_target", "action", "observation", "phase", "heading"]
         names += ["filtered_command"] if self._along_path else []
         names += ["mode"] if self._controller.steering.stands else []
         sizes = self._robot.estimate_sizes
-        estimate = torch.cat([cast("Tensor", found["estimate", name]) for name in sizes], dim=-1)
-        values = {"nearest_command": found["command"], **{name: found[name] for name in names}}
-        values |= {"estimate": estimate, **{name: found["next", name] for name in self._memory}}
+        estimate = torch.cat([cast("Tensor", state["estimate", name]) for name in sizes], dim=-1)
+        values = {"nearest_command": state["command"], **{name: state[name] for name in names}}
+        values |= {"estimate": estimate, **{name: state["next", name] for name in self._memory}}
         if self._placed:
-            values |= {name: found["odometry", name] for name in PATH_SIZES}
+            values |= {name: state["odometry", name] for name in PATH_SIZES}
         # copies: outputs of a graph must be distinct from its inputs and from each other
         return {n: cast("Tensor", v).clone() for n, v in values.items()}
 
-    def _inputs(self, found: TensorDictBase) -> list[Entry]:
+    def _inputs(self, state: TensorDictBase) -> list[Entry]:
         """Inputs of the graph, with examples from a controller's entries."""
         size, robot = self.library.command_size, self._robot
         joints = {"motor": robot.motor_names, "joint": robot.joint_names}
@@ -216,7 +216,7 @@ class PolicyStep(nn.Module):
             Entry("command", command, _axes(size), "m/s, rad/s", _MOVING),
             Entry("first", torch.ones(1, 1, dtype=torch.bool), meaning="first step of the robot"),
             Entry("last_phase", phase, meaning="stride fraction; at a first step to begin at"),
-            Entry("last_action", found["action"], elements=robot.motor_names, unit="rad"),
+            Entry("last_action", state["action"], elements=robot.motor_names, unit="rad"),
             Entry("last_estimate", torch.zeros(1, sum(robot.estimate_sizes.values()))),
         ]
         if self._along_path:

@@ -29,7 +29,7 @@ class Field(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Field of a packet at its place in the payload."""
+    """Field of a packet with its offset in the payload."""
 
     offset: int
     """First byte."""
@@ -101,17 +101,17 @@ class Packet:
         Raises:
             UnknownNameError: there is no floating-point number at a path.
         """
-        found: dict[str, list[int]] = {}
+        all_offsets: dict[str, list[int]] = {}
         for place in self.places:
             if place.kind == FLOAT:
-                offsets = found.setdefault(re.sub(r"\[\d+\]", "", place.path), [])
+                offsets = all_offsets.setdefault(re.sub(r"\[\d+\]", "", place.path), [])
                 offsets.extend(range(place.offset, place.offset + 4 * place.count, 4))
         for path in paths:
-            if path not in found:
+            if path not in all_offsets:
                 raise UnknownNameError(
-                    f"{self.name} has no numbers at {path!r}; there are {list(found)}"
+                    f"{self.name} has no numbers at {path!r}; there are {list(all_offsets)}"
                 )
-        return Numbers(np.array([offset for path in paths for offset in found[path]]))
+        return Numbers(np.array([offset for path in paths for offset in all_offsets[path]]))
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
