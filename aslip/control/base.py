@@ -60,21 +60,12 @@ class ControllerBase(ABC, Generic[AnyState]):
 
     num_robots: int | None = None
     """Number of robots that the controller is for; None for any."""
-
-    @property
-    @abstractmethod
-    def robot(self) -> Robot:
-        """Robot that is controlled."""
-
-    @property
-    @abstractmethod
-    def command_size(self) -> int:
-        """Number c of components of a command."""
-
-    @property
-    @abstractmethod
-    def stands(self) -> bool:
-        """True if the robots take stand commands."""
+    robot: Robot
+    """Robot that is controlled."""
+    command_size: int
+    """Number c of components of a command."""
+    stands: bool
+    """True if the robots take stand commands."""
 
     @property
     @abstractmethod

@@ -24,7 +24,6 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
-from aslip.robot import Robot
 from aslip.transforms.action import add_delta
 from aslip.transforms.base import check_number
 from aslip.transforms.clock import clock_entries
@@ -154,27 +153,13 @@ class Controller(ControllerBase[ControllerState]):
         self.command_rates = checked_rates(
             COMMAND_RATES if command_rates is None else command_rates
         )
-        robot = self.estimator.robot
-        self.steering = Steering(library, self.command_rates, bool(stands), motor_lead)
+        self.robot = robot = self.estimator.robot
+        self.command_size, self.stands = library.command_size, bool(stands)
+        self.steering = Steering(library, self.command_rates, self.stands, motor_lead)
         self._along_path = self.steering.along_path
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
-
-    @property
-    def robot(self) -> Robot:
-        """Robot of the estimator."""
-        return self.estimator.robot
-
-    @property
-    def command_size(self) -> int:
-        """Number c of components of a command."""
-        return self.library.command_size
-
-    @property
-    def stands(self) -> bool:
-        """True if the robots take stand commands."""
-        return self.steering.stands
 
     @property
     def pose(self) -> np.ndarray:

@@ -76,11 +76,11 @@ class ExportedController(ControllerBase[ExportedState]):
     num_robots = 1
 
     def __init__(self, path: str | Path, robot: Robot = CASSIE) -> None:
-        self.path, self._robot = user_path(path), robot
+        self.path, self.robot = user_path(path), robot
         if not self.path.is_file():
             raise AssetError(
-                f"there is no exported policy {str(path)!r}; python -m aslip.control.export makes"
-                " one"
+                f"there is no exported policy {str(self.path)!r}; python -m aslip.control.export"
+                " makes one"
             )
         self._session, self.contract = open_policy(self.path, robot)
         with explained(self.path):
@@ -90,6 +90,8 @@ class ExportedController(ControllerBase[ExportedState]):
                 for entry in self.contract.inputs
             }
             self._feedback = self.contract.feedback
+            self.command_size = self._inputs["command"][1][-1]
+            self.stands = "stand" in self._inputs
             try_steps(self)
 
     @cached_property
@@ -98,21 +100,6 @@ class ExportedController(ControllerBase[ExportedState]):
         from aslip.estimation import StateEstimator
 
         return StateEstimator(self.robot)
-
-    @property
-    def robot(self) -> Robot:
-        """Robot that is controlled."""
-        return self._robot
-
-    @property
-    def command_size(self) -> int:
-        """Number c of components of a command."""
-        return self._inputs["command"][1][-1]
-
-    @property
-    def stands(self) -> bool:
-        """True for a policy that takes stand commands."""
-        return "stand" in self._inputs
 
     @property
     def pose(self) -> np.ndarray:

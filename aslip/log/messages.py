@@ -28,7 +28,7 @@ elsewhere each component has a name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
@@ -134,19 +134,6 @@ TOUCHDOWN = MessageType(
     "aslip_msgs/msg/Touchdown",
     "uint8 side\nfloat64 x\nfloat64 y\nfloat64 x_planned\nfloat64 y_planned\nfloat64 speed",
 )
-
-
-def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) -> MessageType:
-    """Message type of named numbers, or of named arrays of one length.
-
-    Args:
-        name: name of the type, without its package.
-        number: "float32" or "float64".
-        fields: names of the numbers, in order.
-        length: length of the arrays; 0 for single numbers.
-    """
-    kind = f"{number}[{length}]" if length else number
-    return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{kind} {f}" for f in fields))
 
 
 # names of the numbers of entries that are no vectors; one number has the entry's name alone

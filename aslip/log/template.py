@@ -125,9 +125,9 @@ class FlatTopic:
         def build(marks: Marks) -> dict[str, Any]:
             return {name: marks.numbers(length) if length else marks.number() for name in names}
 
-        kind = messages.flat_type(
-            topic.strip("/").title().replace("_", ""), np.dtype(dtype).name, names, length
-        )
+        number = f"{np.dtype(dtype).name}[{length}]" if length else np.dtype(dtype).name
+        name = topic.strip("/").title().replace("_", "")
+        kind = MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{number} {n}" for n in names))
         self._writer, self._template = writer, Template(kind, build, dtype)
         self._channel = writer.open_channel(topic, kind)
 

@@ -105,14 +105,6 @@ def test_flipped_bits_are_refused_or_harmless(kind: Kind, path: Path) -> None:
     assert {offset: found for offset, found in wrong.items() if found} == {}
 
 
-@every_kind
-def test_lost_and_inserted_sectors_are_refused_or_harmless(kind: Kind, path: Path) -> None:
-    data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(1)
-    for start in rng.choice(len(data), 4).tolist():
-        for sector, end in ((bytes(512), start + 512), (rng.bytes(512), start)):
-            assert _survives(kind, path, data[:start] + sector + data[end:], whole) == ""
-
-
 @every_archive
 def test_forged_content_is_refused_or_loads(kind: Kind, path: Path) -> None:
     """The hashes are valid, so that other content may load; its numbers are finite."""

@@ -72,7 +72,8 @@ def compare_rollouts(
         change(step, td)
         heading = td["heading"]
         td, following = env.step_and_maybe_reset(policy(td))
-        ours, theirs = state.tensordict[same], env.transform.inv(td)[same]
+        ours: Any = state.tensordict[same]
+        theirs: Any = env.transform.inv(td)[same]
         for key in keys:
             assert (ours[key] == theirs[key]).all(), (step, key)
         yield state.tensordict

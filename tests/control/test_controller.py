@@ -16,7 +16,7 @@ from torchrl.modules import GRUModule
 
 import aslip
 from aslip.control import Controller
-from aslip.envs import BatchEnv, StackEnv, insert_before
+from aslip.envs import StackEnv, insert_before
 from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
@@ -100,29 +100,6 @@ def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
     env = make_rollout_env("default", 1)
     env.append_transform(gru.make_tensordict_primer())
     follow(env, policy, Controller(policy, gaits("default")), "action")
-
-
-@torch.no_grad()
-@pytest.mark.parametrize("num", [1, 3])
-def test_a_robot_without_transforms_walks_under_a_controller(num: int) -> None:
-    env, library = BatchEnv(num, num_threads=1), gaits("default")
-    controller = Controller("straight", library)
-    command, phase = torch.full((num, 1), 1.0), torch.zeros(num, 1)
-    qpos, qvel = library.initial_state(phase, command)
-    start = TensorDict(initial=TensorDict(qpos=qpos, qvel=qvel, batch_size=num), batch_size=num)
-    td = env.reset(start)
-    state = controller.start(td["sensors"], command)
-    for _ in range(100):
-        td = env.step(td.set("motor_target", state.motor_target))["next"]
-        state, _ = controller.step(state, td["sensors"], command)
-    assert (td["truth", "pelvis_position"][:, 2] > 0.8).all()
-    assert (td["truth", "pelvis_position"][:, 0] > 2.4).all()
-    torch.testing.assert_close(
-        state.tensordict["odometry", "pelvis_velocity"],
-        td["truth", "pelvis_velocity"],
-        atol=0.1,
-        rtol=0,
-    )
 
 
 def _packets(num: int = 1) -> np.ndarray:

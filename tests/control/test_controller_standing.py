@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 import torch
@@ -74,7 +75,7 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
     walk = compare_rollouts(
         _make(num), small_actions(0.02), _controller(), keys, change, steps=90, first=first
     )
-    modes = {mode for entries in walk for mode in entries["mode"].flatten().tolist()}
+    modes = {mode for entries in walk for mode in cast("Any", entries)["mode"].flatten().tolist()}
     assert len(modes) == 4 or num == 1
 
 

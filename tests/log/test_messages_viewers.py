@@ -17,7 +17,6 @@ from tensordict import TensorDict
 
 from aslip.base.assets import asset_path
 from aslip.log import Recording
-from aslip.log.messages import ROM_FRAMES
 from aslip.robot import CASSIE
 from tests.log.helpers import CURVES
 
@@ -132,22 +131,6 @@ def _leaves(node: Any) -> Iterator[str]:
         assert 0 < node["splitPercentage"] < 100
         yield from _leaves(node["first"])
         yield from _leaves(node["second"])
-
-
-def test_foxglove_layout_follows_the_robot(recording: Recording) -> None:
-    layout = json.loads(asset_path("viewers/foxglove.json").read_text(encoding="utf-8"))
-    scene = layout["configById"]["3D!robot"]
-    frames = set(recording["/tf"]["transforms.child_frame_id"][0])
-    assert scene["followTf"] == "pelvis"
-    assert scene["followTf"] in frames
-    assert {scene["fixedFrame"]} == set(recording["/tf"]["transforms.header.frame_id"].ravel())
-    axes = {key.removeprefix("frame:"): value for key, value in scene["transforms"].items()}
-    assert axes.keys() == {*frames, scene["fixedFrame"]}
-    assert {name for name, settings in axes.items() if settings["visible"]} == set(ROM_FRAMES)
-    assert {topic for topic, settings in scene["topics"].items() if settings["visible"]} == {
-        "/robot_description"
-    }
-    assert len(recording["/robot_description"]) == 1
 
 
 def test_plotjuggler_layout_plots_logged_fields(recording: Recording) -> None:

@@ -76,19 +76,6 @@ def test_reasons_for_a_difference_are_named(recording: Recording) -> None:
     ]
 
 
-@pytest.mark.parametrize(("place", "moves"), [(0, 0), (1, 1), (35, 1), (36, 0)])
-def test_difference_of_the_configuration_ignores_velocities(
-    recording: Recording, place: int, moves: int
-) -> None:
-    """In a state, time comes before the configuration, velocities and other numbers after it."""
-    states = recording["/state"]
-    last = np.searchsorted(states.time, recording["/step"].time[-1], side="right") - 1
-    other = _changed(recording, "/state", "integration", (last, place), 1e-3)
-    result = replay(other, float(states.time[last - 1]))
-    assert result.diverged_at == pytest.approx(states.time[last])
-    np.testing.assert_allclose(result.largest_difference, 1e-3 * moves, rtol=1e-6)
-
-
 def test_log_without_states_is_reported(recording: Recording) -> None:
     series = {topic: s for topic, s in recording.series.items() if topic != "/state"}
     with pytest.raises(UnknownNameError, match=r"cannot replay .* no topic '/state'"):

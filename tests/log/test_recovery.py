@@ -70,21 +70,6 @@ def test_recovery_ends_at_the_first_damage(
         recover(path)
 
 
-def test_recovery_loses_at_most_a_second_before_the_cut(log: Path, tmp_path: Path) -> None:
-    """A process that dies has written everything up to the last whole second."""
-    states = read(log, ["/state"])["/state"]
-    path = tmp_path / "walk.mcap.part"
-    # chunks end with a state; keep the file up to the chunk of the second second
-    with log.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    second = next(index for index in summary.chunk_indexes if index.message_end_time >= 2e9)
-    path.write_bytes(log.read_bytes()[: second.chunk_start_offset + second.chunk_length])
-    saved = recover(path)
-    assert saved.until >= 1.9
-    assert saved.until in states.time
-
-
 def test_recovery_never_overwrites(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "there.mcap"
     out.write_bytes(b"precious")

@@ -31,12 +31,3 @@ def test_feedforward_and_target_velocity_add_to_the_torque() -> None:
     ones = np.ones((1, 10))
     torque = _torque(0 * ones, ones, torque=4 * ones, velocity=3 * ones, damping=2 * ones)
     np.testing.assert_allclose(torque * CASSIE.gear, 8 * ones)
-
-
-def test_a_command_of_zeros_gives_no_torque() -> None:
-    assert not _torque(*RNG.normal(size=(2, 3, 10))).any()
-
-
-def test_damping_alone_opposes_the_motion() -> None:
-    position, velocity = RNG.normal(size=(2, 50, 10))
-    assert (_torque(position, velocity, damping=np.ones((50, 10))) * velocity <= 0).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -29,9 +30,10 @@ from aslip.robot import CASSIE
 from aslip.sim import PD, Simulations, Torque
 from tests.helpers import started
 from tests.network.twin.sockets import robot_socket, serving, socket_to
-from tests.network.twin.test_robot import ROUNDED
 
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
+# the robot whose gains are those that reach the twin in single precision
+ROUNDED = replace(CASSIE, damping=CASSIE.damping.astype(np.float32).astype(np.float64))
 
 
 _ENCODERS = ("position", "velocity")
