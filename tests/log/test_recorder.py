@@ -254,7 +254,8 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
     for name in ("noise", "foot_orient"):
         del stack[name]
     stack["estimator"] = TrueState()
-    stack["reward"] = WeightedReward({"com_vel": 0.5, "foot_pos": 0.5})
+    weights = {"com_vel": 0.5, "foot_pos": 0.5, "straight_diff": 0.0, "action_diff": 0.0}
+    stack["reward"] = WeightedReward(weights)
     stack["recorder"] = Recorder(tmp_path / "a.mcap")
     env = aslip.make_env(stack=stack, num_threads=1, floor_friction=0.6, seed=0)
     run(env, 3)
