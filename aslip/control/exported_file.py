@@ -1,4 +1,4 @@
-"""Opening of exported policies: checks of file, graph, contract and library; needs no PyTorch.
+"""Opening of exported policies: checks of file, graph and contract; needs no PyTorch.
 
 A forged file can still move the robot in any way, but the graph neither runs without end nor takes
 memory without bound: it has no loops, and its intermediate values share 64 MiB.

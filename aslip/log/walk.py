@@ -42,7 +42,7 @@ def read_walk(recording: Recording) -> Walks:
         return np.stack([series.vector(name, axes)[rows] for name in names], axis=1)
 
     turning = f"command_{_COMMAND[0]}" in step.columns
-    body = _path_odometry(recording["/true_odometry"]) if turning else _logged_odometry(truth)
+    body = _odometry(recording["/true_odometry"]) if turning else _from_start(truth)
     alive = ~np.logical_or.accumulate(step["terminated"][:count] > 0)
     forces = [[f"ground_force_{side}_{axis}" for axis in "xyz"] for side in SIDES]
     arrays = {
@@ -74,20 +74,17 @@ def read_walk(recording: Recording) -> Walks:
     return Walks(**{name: array[:, None] for name, array in arrays.items()})
 
 
-def _path_odometry(odometry: Series) -> dict[str, np.ndarray]:
-    """Odometry at each instant of a log, in the frame along the path."""
+def _odometry(series: Series) -> dict[str, np.ndarray]:
+    """Odometry at each instant of a log, in the frame of the topic."""
     return {
-        name: odometry.vector(name, "wxyz" if size == 4 else "xyz")
+        name: series.vector(name, "wxyz" if size == 4 else "xyz")
         for name, size in ODOMETRY_SIZES.items()
     }
 
 
-def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:
+def _from_start(truth: Series) -> dict[str, np.ndarray]:
     """Odometry at each instant of a log, in the heading frame of its first instant."""
-    rows = {
-        name: torch.from_numpy(truth.vector(name, "wxyz" if size == 4 else "xyz"))
-        for name, size in ODOMETRY_SIZES.items()
-    }
+    rows = {name: torch.from_numpy(values) for name, values in _odometry(truth).items()}
     rows["slope"] = torch.zeros_like(rows["pelvis_position"][:, :1])
     first = {name: value[:1] for name, value in rows.items()}
     turned = in_heading_frame(rows, true_heading(first), start_of(first))
