@@ -108,11 +108,6 @@ def _packets(num: int = 1) -> np.ndarray:
     return np.concatenate([entry.numpy() for entry in td["sensors"].values()], axis=-1)
 
 
-@pytest.fixture(scope="module")
-def controller() -> Controller:
-    return Controller("straight", gaits("default"))
-
-
 def test_a_step_changes_no_state_that_it_was_given(controller: Controller) -> None:
     packets = _packets(2)
     state = controller.start(packets, 0.5)

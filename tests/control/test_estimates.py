@@ -14,7 +14,6 @@ from aslip.control import Controller, ControllerState
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import Estimate, StateEstimator
-from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.rotation import orientation_to_heading, vector_to_heading
 from aslip.transforms import DIRECTION_TABLE
@@ -23,11 +22,6 @@ from tests.helpers import limp
 from tests.library.bent import symmetric_library
 
 Estimates = dict[str, np.ndarray]
-
-
-@pytest.fixture(scope="module")
-def controller() -> Controller:
-    return Controller("straight", GaitLibrary.load())
 
 
 @pytest.fixture(scope="module")

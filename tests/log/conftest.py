@@ -56,10 +56,10 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
 def walk(
     make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, list[TensorDict]]:
-    """Log of 80 policy steps in several episodes, and the tensordicts of the steps."""
+    """Log of 100 policy steps in several episodes, and the tensordicts of the steps."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
     env = make_recorded(path, policy="straight", config={"why": "a test"})
-    seen = run(env, 80)
+    seen = run(env, 100)
     assert sum(bool(td["next", "done"]) for td in seen) >= 2
     env.close()
     return path, seen
@@ -72,19 +72,9 @@ def recording(walk: tuple[Path, list[TensorDict]]) -> Recording:
 
 
 @pytest.fixture(scope="session")
-def log(make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Log of 3 s of walking in several episodes."""
-    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
-    env = make_recorded(path)
-    run(env, 100)
-    env.close()
-    return path
-
-
-@pytest.fixture(scope="session")
-def whole(log: Path) -> Recording:
-    """The log in memory."""
-    return read(log)
+def log(walk: tuple[Path, list[TensorDict]]) -> Path:
+    """File of the log."""
+    return walk[0]
 
 
 @pytest.fixture

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 import torch
 from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from tensordict import TensorDict
 
 from aslip.envs import StackEnv
-from aslip.log import Recording
 from aslip.log.writer import add_metadata, open_writer
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
@@ -47,17 +45,6 @@ def run(env: StackEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
         seen.append(stepped.clone())
         td = td.exclude("push")
     return seen
-
-
-def assert_subset(rest: Recording, whole: Recording) -> None:
-    """Check that every message is one of the whole log."""
-    for topic, series in rest.series.items():
-        rows = np.searchsorted(whole[topic].time, series.time)
-        np.testing.assert_array_equal(whole[topic].time[rows], series.time)
-        for name, column in series.columns.items():
-            if topic != "/log":  # has several lines of one time
-                np.testing.assert_array_equal(column, whole[topic][name][rows], err_msg=name)
-            assert set(map(str, column)) <= set(map(str, whole[topic][name]))
 
 
 def read_records(data: bytes) -> list[McapRecord]:

@@ -25,7 +25,7 @@ def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
         assert result.start == pytest.approx(time)
         assert result.compared >= 1
         assert result.steps > 0
-    assert replay(recording).steps == 80
+    assert replay(recording).steps == 100
 
 
 def _changed(
@@ -47,7 +47,7 @@ def test_replay_detects_a_changed_motor_target_and_goes_on(recording: Recording)
     assert result.diverged_at is not None
     assert result.diverged_at >= 1.0
     assert result.largest_difference > 0
-    assert (result.steps, result.compared) == (80, replay(recording).compared)
+    assert (result.steps, result.compared) == (100, replay(recording).compared)
 
 
 def test_replay_detects_a_changed_push(recording: Recording) -> None:
@@ -94,7 +94,7 @@ def test_replay_resumes_after_a_gap(recording: Recording) -> None:
     gap = replace(step, time=step.time[kept], columns=columns)
     result = replay(replace(recording, series={**recording.series, "/step": gap}))
     assert result.equal
-    assert result.steps < 80 - (~kept).sum() + 1
+    assert result.steps < 100 - (~kept).sum() + 1
     assert result.compared >= 2
 
 
@@ -115,7 +115,7 @@ def test_commands_report_a_complete_log(
     assert main(["replay", "--verify", log]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2
-    assert lines[0].startswith("from 0.00 s: 80 policy steps")
+    assert lines[0].startswith("from 0.00 s: 100 policy steps")
     assert all(line.endswith("all bit-equal") for line in lines)
     assert not lines[1].startswith("from 0.00 s")
 

@@ -65,15 +65,16 @@ def test_error_of_a_damaged_log_names_the_damage_and_the_remedy(altered: Alter) 
 
 
 def test_attachments_that_the_metadata_does_not_name_are_refused(
-    log: Path, whole: Recording, tmp_path: Path
+    log: Path, recording: Recording, tmp_path: Path
 ) -> None:
     """The attachment, or its hash, is missing or another one; all checksums are valid."""
     key = "sha256/config.json"
-    unnamed = {name: text for name, text in whole.metadata.items() if name != key}
-    other = {**whole.metadata, key: "0" * 64}
+    about = recording.metadata
+    unnamed = {name: text for name, text in about.items() if name != key}
+    other = {**about, key: "0" * 64}
     name = "config.json"
     for metadata, drop, alter in (
-        (whole.metadata, name, ""), (whole.metadata, "", name), (other, "", ""), (unnamed, "", "")
+        (about, name, ""), (about, "", name), (other, "", ""), (unnamed, "", "")
     ):  # fmt: skip
         path = _rewritten(log, tmp_path / "other.mcap", metadata, drop, alter)
         with pytest.raises(FileDamagedError, match=r"attachment 'config\.json' is not the one"):
@@ -125,8 +126,8 @@ def test_schema_with_forged_array_sizes_is_refused(log: Path, tmp_path: Path, co
         read(path)
 
 
-def test_other_formats_are_refused(log: Path, whole: Recording, tmp_path: Path) -> None:
-    later = {**whole.metadata, "format": "99"}
+def test_other_formats_are_refused(log: Path, recording: Recording, tmp_path: Path) -> None:
+    later = {**recording.metadata, "format": "99"}
     path = _rewritten(log, tmp_path / "later.mcap", later)
     for function in (read, recover):
         with pytest.raises(

@@ -145,7 +145,7 @@ def test_files_and_settings_are_attached(recording: Recording) -> None:
     assert recording.metadata["commit"] == (commit() or "")
     assert recording.metadata["version/python"] == platform.python_version()
     assert recording.metadata["version/mujoco"] == mujoco.__version__
-    assert recording.end["policy_steps"] == "80"
+    assert recording.end["policy_steps"] == "100"
 
 
 def test_episodes_and_their_ends_are_noted(walk: Walk, recording: Recording) -> None:

@@ -13,18 +13,18 @@ from aslip.log import Recording, read, recover, replay
 from tests.log.helpers import Alter
 
 
-def assert_beginning(rest: Recording, whole: Recording) -> None:
+def assert_beginning(rest: Recording, recording: Recording) -> None:
     """Check that a log is the beginning of another one, with the same attachments."""
-    assert rest.attachments == whole.attachments
+    assert rest.attachments == recording.attachments
     for topic, series in rest.series.items():
-        np.testing.assert_array_equal(series.time, whole[topic].time[: len(series)])
+        np.testing.assert_array_equal(series.time, recording[topic].time[: len(series)])
         for name, column in series.columns.items():
-            np.testing.assert_array_equal(column, whole[topic][name][: len(series)])
+            np.testing.assert_array_equal(column, recording[topic][name][: len(series)])
 
 
 @pytest.mark.parametrize("part", np.linspace(0.0, 0.999, 12).round(3))
 def test_truncated_log_is_recovered_up_to_the_cut(
-    log: Path, whole: Recording, tmp_path: Path, part: float
+    log: Path, recording: Recording, tmp_path: Path, part: float
 ) -> None:
     """A cut in the first second leaves nothing to recover, and the error says so."""
     data = log.read_bytes()
@@ -42,14 +42,14 @@ def test_truncated_log_is_recovered_up_to_the_cut(
         return
     assert saved.path == tmp_path / "walk.recovered.mcap"
     rest = read(saved.path)
-    assert_beginning(rest, whole)
+    assert_beginning(rest, recording)
     assert sum(len(series) for series in rest.series.values()) == saved.messages
     # a log cut in its first second has only the first instant
     assert saved.until == 0.0 if "/step" not in rest.series else replay(rest).equal
 
 
 def test_recovery_ends_at_the_first_damage(
-    log: Path, altered: Alter, tmp_path: Path, whole: Recording
+    log: Path, altered: Alter, tmp_path: Path, recording: Recording
 ) -> None:
     """In a chunk, all chunks before it are saved; before the first chunk, nothing is."""
     with log.open("rb") as file:
@@ -63,7 +63,7 @@ def test_recovery_ends_at_the_first_damage(
         assert f"byte {index.chunk_start_offset} is damaged" in saved.reason
         assert 0 < saved.until <= index.message_start_time / 1e9
         assert saved.until >= before - 0.04
-        assert_beginning(read(saved.path), whole)
+        assert_beginning(read(saved.path), recording)
     place = log.read_bytes().index(b"WeightedReward")
     path = altered(lambda data: data.__setitem__(place, data[place] ^ 1))
     with pytest.raises(FileDamagedError, match=r"nothing to recover: .*config\.json"):
@@ -78,11 +78,13 @@ def test_recovery_never_overwrites(log: Path, tmp_path: Path) -> None:
     assert out.read_bytes() == b"precious"
 
 
-def test_complete_log_is_recovered_completely(log: Path, whole: Recording, tmp_path: Path) -> None:
+def test_complete_log_is_recovered_completely(
+    log: Path, recording: Recording, tmp_path: Path
+) -> None:
     saved = recover(log, tmp_path / "copy.mcap")
     assert saved.reason == ""
     copy = read(saved.path)
-    assert_beginning(copy, whole)
+    assert_beginning(copy, recording)
     assert {t: len(s) for t, s in copy.series.items()} == {
-        t: len(s) for t, s in whole.series.items()
+        t: len(s) for t, s in recording.series.items()
     }
