@@ -38,7 +38,7 @@ def test_truncated_log_is_recovered_up_to_the_cut(
         assert "nothing to recover" in str(error)
         assert sorted(p.name for p in tmp_path.iterdir()) == ["walk.mcap.part"]
         # nothing is written before the end of the first second
-        assert part < 0.4
+        assert part < 0.5
         return
     assert saved.path == tmp_path / "walk.recovered.mcap"
     rest = read(saved.path)
@@ -64,7 +64,7 @@ def test_recovery_ends_at_the_first_damage(
         assert 0 < saved.until <= index.message_start_time / 1e9
         assert saved.until >= before - 0.04
         assert_beginning(read(saved.path), recording)
-    place = log.read_bytes().index(b"WeightedReward")
+    place = log.read_bytes().index(b'"why": "a test"')
     path = altered(lambda data: data.__setitem__(place, data[place] ^ 1))
     with pytest.raises(FileDamagedError, match=r"nothing to recover: .*config\.json"):
         recover(path)
