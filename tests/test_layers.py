@@ -38,7 +38,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "show": {"robot", "rom", "library", "transforms", "policy", "envs", "walking"},
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs"}
     | {"training", "walking", "show"},
-    "network": {"robot", "library", "estimation", "sim", "policy", "control", "log"},
+    "network": {"robot", "library", "estimation", "sim", "policy", "control", "show", "log"},
 }
 # libraries with a long import time
 _HEAVY = {

@@ -3,6 +3,7 @@
     python -m aslip.network.twin                     # PD mode in lockstep, 127.0.0.1:25000
     python -m aslip.network.twin --real-time         # at 2 kHz, as the robot
     python -m aslip.network.twin --real-time --raw   # torques in, sensors out
+    python -m aslip.network.twin --real-time --live  # with a page to watch, push and stop it
     python -m aslip.network.twin --engine drake      # in Drake instead of MuJoCo
 
 In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
@@ -49,6 +50,10 @@ class Config:
     estimate."""
     real_time: bool = False
     """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
+    live: bool = False
+    """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
+    page_port: int = 8080
+    """Port of the page, at the address of the twin; 0 lets the system choose one."""
 
 
 def main(config: Config) -> None:
@@ -59,20 +64,31 @@ def main(config: Config) -> None:
     with Endpoint(link, local, beyond_loopback=config.beyond_loopback) as endpoint:
         # imported late: a port in use is reported at once
         from aslip.network.twin import ENGINES, RealTimeServer, TwinRobot, serve_lockstep
+        from aslip.network.twin.page import TwinPage
 
         robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
         server = RealTimeServer(robot, endpoint, say=say) if config.real_time else None
-        say(f"waiting for commands at {endpoint.local}; Ctrl-C ends")
+        page = TwinPage(robot, config.address, config.page_port) if config.live else None
+
+        def stop() -> bool:
+            if page is not None:
+                page.update({"client": str(endpoint.peer or "none yet")})
+            return False
+
+        seen = f", page at {page.url}" if page else ""
+        say(f"waiting for commands at {endpoint.local}{seen}; Ctrl-C ends")
         try:
             with contextlib.suppress(KeyboardInterrupt), signals_exit():
                 if server is None:
-                    serve_lockstep(robot, endpoint)
+                    serve_lockstep(robot, endpoint, stop)
                 else:
-                    server.run()
+                    server.run(stop)
         finally:
             ticks = f"lockstep: {robot.ticks} ticks" if server is None else server.load
             counts = {name: number for name, number in asdict(link.counters).items() if number}
             say(f"{ticks}\n{robot.divergences} divergences, datagrams: {counts}")
+            if page is not None:
+                page.close()
 
 
 if __name__ == "__main__":
