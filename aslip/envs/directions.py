@@ -68,7 +68,7 @@ def directions_stack(
             f" rate, got one whose commands have {library.command_size} numbers"
         )
     stack = stack_of(library, VelocityCommand(library), reward_on) | {
-        "clock": PhaseClock(library, in_keys=[_STEER]),
+        "clock": PhaseClock(library, _STEER),
         "reference": ReferenceInjection(library, in_keys=[_STEER, "phase"]),
         "heading": HeadingFrame(command_key=_STEER),
         "estimator": EstimatedState(command_key=_STEER),

@@ -21,19 +21,17 @@ from torchrl.envs.transforms import (
 
 from aslip.base.checks import check_count
 from aslip.base.decorators import on_cpu_in_single
+from aslip.envs.edit import needs_simulation
 from aslip.envs.robot_env import RobotEnv
 from aslip.envs.simulated_env import SimulatedEnv, reset_request
 from aslip.errors import ConfigurationError
 from aslip.transforms import (
     ActionDelta,
-    EncoderOffsets,
     EpisodeSum,
     EstimatedState,
     LastAction,
     LowReward,
     ObservationNoise,
-    RandomDynamics,
-    ReferenceStart,
     RewardTerm,
     SeededTransform,
     WeightedReward,
@@ -142,6 +140,10 @@ class StackEnv(TransformedEnv):
         request = tensordict.select(
             *self.reset_keys, *state_keys, *_chosen(tensordict), strict=False
         )
+        if "_reset" in request and self._latest is not None:
+            # requests of collectors have nothing but the mask
+            lacking = [key for key in state_keys if key not in request]
+            request.update(self._latest.select(*lacking, strict=False))
         request = cast("TensorDictBase", self.transform._reset_env_preprocess(request))
         started = self.base_env._reset(request)
         self.base_env._complete_done(self.base_env.full_done_spec, started)
@@ -301,21 +303,13 @@ def _check_simulation(env: StackEnv) -> None:
     """Refuse transforms that need a simulated robot around one that is not.
 
     Raises:
-        ConfigurationError: a transform reads the truth, or chooses initial states or dynamics.
+        ConfigurationError: a transform needs a simulation, see `needs_simulation`.
     """
-    if isinstance(env.base_env, SimulatedEnv):
+    if isinstance(env.base_env, SimulatedEnv) or "truth" in env.base_env.observation_spec:
         return
-    entries = set(env.base_env.observation_spec.keys(True, True))
     for name, transform in zip(env.transform_names, env.transforms, strict=True):
-        truth = [key for key in transform.in_keys if key[0] == "truth" and key not in entries]
-        if truth:
-            lacks = f"reads {truth[0]!r}"
-        elif isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets):
-            lacks = "chooses the initial state, the dynamics or offsets of encoders"
-        else:
-            continue
-        raise ConfigurationError(
-            f"{name!r} ({type(transform).__name__}) {lacks}, which"
-            f" {type(env.base_env).__name__} does not have; stack=robot_stack() has no transforms"
-            " that need a simulation"
-        )
+        if needs_simulation(transform):
+            raise ConfigurationError(
+                f"{name!r} ({type(transform).__name__}) needs a simulated robot, which"
+                f" {type(env.base_env).__name__} is not; stack=robot_stack() has no such transforms"
+            )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -86,17 +86,12 @@ class TrueState(_Estimator):
     """Write the truth as the estimate, as a perfect estimator would.
 
     Reads `("truth", ...)` and `("true_odometry", ...)`, so it must come after `HeadingFrame`.
-
-    Args:
-        out_keys: keys of estimate and odometry.
     """
 
-    num_out_keys = 2
-
-    def __init__(self, *, out_keys: Sequence[NestedKey] = ("estimate", "odometry")) -> None:
+    def __init__(self) -> None:
         keys: set[NestedKey] = {("true_odometry", name) for name in ODOMETRY_SIZES}
         keys.update(_TRUTH_OF.values())
-        super().__init__(in_keys=sorted(keys, key=str), out_keys=out_keys)
+        super().__init__(sorted(keys, key=str), ["estimate", "odometry"])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ODOMETRY_SIZES` and, along a path, of `PATH_SIZES`."""
@@ -136,7 +131,6 @@ class EstimatedState(_Estimator):
             stops move the origin of the odometry to the pelvis.
     """
 
-    num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
     needs_env = "the estimator tracks robots from their resets on"
 
     def __init__(

@@ -64,7 +64,6 @@ class HeadingFrame(SeededTransform):
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
     """
 
-    num_out_keys = 2
     needs_env = "it reads the headings of robots at resets"
 
     def __init__(

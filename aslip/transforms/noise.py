@@ -12,10 +12,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE, NoiseLevel
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in CASSIE.noise_channels)

@@ -14,13 +14,14 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
 from aslip.transforms.base import (
     SeededTransform,
-    check_number,
+    draw_into_reset,
     extend_spec,
     require_keys,
     reset_rows,
@@ -61,8 +62,6 @@ class ReferenceInjection(SeededTransform):
     Raises:
         ConfigurationError: `motor_lead` is not a finite number.
     """
-
-    num_out_keys = 2
 
     def __init__(
         self,
@@ -185,8 +184,6 @@ class Feedforward(SeededTransform):
         damping: (m,) gains K_d [N m s/rad].
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
     @on_cpu_in_single
     def __init__(
         self,
@@ -221,11 +218,7 @@ class ReferenceDistance(SeededTransform):
     `reference` and `goal`.
     """
 
-    num_in_keys, num_out_keys = 1, 2
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(["command"], [("reference", "distance"), ("goal", "distance")])
 
     def _reset(
@@ -315,11 +308,6 @@ class ReferenceStart(SeededTransform):
             qpos, qvel = (spread(part, rows) for part in self.library.initial_state(*at))
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
-        tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)
-        return self._draw_into_reset(tensordict, ("initial", "qvel"), qvel)
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
+        draw_into_reset(tensordict, ("initial", "qpos"), qpos)
+        draw_into_reset(tensordict, ("initial", "qvel"), qvel)
+        return tensordict

@@ -10,8 +10,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.transforms.base import SeededTransform, check_number, extend_spec
+from aslip.transforms.base import SeededTransform, extend_spec
 
 TermFunction = Callable[..., Tensor]
 
@@ -37,8 +38,6 @@ class RewardTerm(SeededTransform):
         root_keys: entries before the step, and the action, that it reads; these come last.
             `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
     """
-
-    num_out_keys = 1
 
     def __init__(
         self,
@@ -103,12 +102,7 @@ class WeightedReward(SeededTransform):
         UnknownNameError: the stack has no terms, or one has no weight (raised when added to it).
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
-    def __init__(
-        self,
-        weights: Mapping[str, float],
-    ) -> None:
+    def __init__(self, weights: Mapping[str, float]) -> None:
         super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
         if not isinstance(weights, Mapping) or not weights:
             raise ConfigurationError(
@@ -125,12 +119,6 @@ class WeightedReward(SeededTransform):
         for name, term in next_tensordict[self.in_keys[0]].items():
             reward = reward + self.weights[name] * term
         return next_tensordict.set(self.out_keys[0], reward)
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Check that every term has a weight."""
@@ -155,11 +143,7 @@ class EpisodeSum(SeededTransform):
     `RewardSum` computes the specs of the whole stack twice to find the shape of a reward.
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

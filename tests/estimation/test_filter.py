@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError
 from aslip.estimation.filter import LEFT, RIGHT, B, Belief, ContactFilter, FilterNoise, Motion, P, V
 
 PERIOD, RADIUS, HALF = 0.003, 0.02, 0.08
@@ -343,20 +341,3 @@ def test_contact_ends_at_a_lower_force_than_it_begins() -> None:
     for k, (force, loaded) in enumerate(forces, 1):
         filter_.step(belief, _motion(k * PERIOD, STANDING, (force, force)))
         assert belief.loaded[0].tolist() == [loaded] * 2
-
-
-def test_start_is_on_the_lower_end_of_a_sole() -> None:
-    half = np.array([[[HALF * 0.8, 0, HALF * 0.6], [HALF, 0, 0]]])
-    feet = np.array([[0.0, 0.1, RADIUS], [0.0, -0.1, RADIUS]])
-    motion = replace(_motion(0.0, feet, (FREE, FREE)), half_sole=half)
-    belief = _filter().start(motion, np.zeros((1, 2, 3)))
-    np.testing.assert_allclose(belief.mean[0, 2, P], 0.9 + 0.6 * HALF)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("acceleration", -1.0), ("patience", float("nan")), ("gate", "0.1"), ("leg", 0.0)],
-)
-def test_invalid_noise_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(ConfigurationError, match=rf"^{name} of FilterNoise .*{value!r}"):
-        FilterNoise(**{name: value})

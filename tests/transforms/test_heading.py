@@ -17,7 +17,6 @@ import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
-from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
@@ -80,12 +79,8 @@ def _turned(library: aslip.GaitLibrary, **settings: object) -> StackEnv:
 # -------------------------------------------------------------------------- walking
 
 
-@pytest.mark.parametrize("noise", [True, False])
-def test_robots_that_start_turned_walk_as_straight_as_others(
-    library: aslip.GaitLibrary, noise: bool
-) -> None:
-    drop = EPISODE_ENDS if noise else (*EPISODE_ENDS, "noise")
-    env = _turned(library, drop=drop)
+def test_robots_that_start_turned_walk_as_straight_as_others(library: aslip.GaitLibrary) -> None:
+    env = _turned(library)
     results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, STEPS)
     for degrees, result in zip(DEGREES, results, strict=True):
         assert result.survived, degrees
@@ -111,28 +106,19 @@ def test_turned_robots_get_the_same_rewards_and_observations(library: aslip.Gait
         td = step_mdp(td)
 
 
-def test_turned_robots_walk_with_the_single_reference(library: aslip.GaitLibrary) -> None:
-    start = TurnedStart(GaitLibrary.load("single_reference"))
-    env = _turned(library, stack="single_reference", replace={"start": start})
-    results = evaluate(aslip.load_policy("single_reference"), env, [SPEED] * NUM, 60)
-    straight = results[0]
-    for result in results:
-        assert result.survived
-        for name, term in result.terms.items():
-            assert term == pytest.approx(straight.terms[name], abs=0.05), name
-
-
 def test_rewards_of_the_estimate_are_in_the_heading_frame(library: aslip.GaitLibrary) -> None:
-    env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
-    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
-    for result in results:
+    """Also of robots that start elsewhere."""
+    start = TurnedStart(library, place=(5.0, -3.0))
+    env = _turned(library, reward_on="estimate", replace={"start": start})
+    for result in evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30):
         assert result.terms["foot_orient"] > 0.85
         assert result.terms["straight_diff"] > 0.94
+        assert result.lateral_drift < 0.1
 
 
 def test_metrics_are_along_the_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    walks = record_walks(aslip.load_policy("straight"), env, np.full((40, NUM), SPEED))
+    walks = record_walks(aslip.load_policy("straight"), env, np.full((24, NUM), SPEED))
     assert np.abs(walks.pelvis_velocity[10:, :, 0].mean(0) - SPEED).max() < 0.1
     assert np.abs(walks.pelvis_position[..., 1]).max() < 0.1
     assert (walks.foot_position[:, :, 0, 1] > walks.foot_position[:, :, 1, 1]).all()
@@ -151,7 +137,7 @@ def test_an_estimator_without_a_given_heading_takes_it_from_the_packets(
 
     tracking, estimate = estimator.start(packets(td))
     np.testing.assert_allclose(tracking.heading, ANGLES[:, 0], atol=1e-6)
-    for _ in range(40):
+    for _ in range(20):
         td = step_mdp(env.step(policy(td)))
         estimate = estimator.update(tracking, packets(td))
         truth = cast("TensorDictBase", td["true_odometry"])
@@ -259,22 +245,12 @@ def test_odometry_does_not_depend_on_the_pose_of_the_world_frame() -> None:
         torch.testing.assert_close(entries[name], truth[name], atol=1e-7, rtol=0)
 
 
-def test_a_robot_that_starts_elsewhere_walks_straight_from_there(
-    library: aslip.GaitLibrary,
-) -> None:
-    env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
-    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
-    for result in results:
-        assert result.terms["straight_diff"] > 0.94
-        assert result.lateral_drift < 0.1
-
-
 # --------------------------------------------------------------------------- slopes
 
 SLOPE = 0.1
 
 
-@pytest.mark.parametrize("degrees", [0.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 90.0])
 def test_on_a_slope_truth_and_odometry_are_in_one_frame(
     library: aslip.GaitLibrary, degrees: float
 ) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
-from aslip.transforms import CommandFilter, SpeedCommand, VelocityCommand
+from aslip.transforms import SpeedCommand, VelocityCommand
 from aslip.transforms.command import approach_command
 from tests.helpers import seeded
 from tests.library.bent import Bent, symmetric_library
@@ -112,9 +112,3 @@ def test_a_small_change_is_made_at_once() -> None:
     past, command = torch.zeros(2, 1), torch.tensor([[0.06], [0.07]])
     found = approach_command(past, command, (2.0,))
     torch.testing.assert_close(found, torch.tensor([[0.06], [0.06]]))
-
-
-@pytest.mark.parametrize("rate", [0.0, float("nan")])
-def test_rates_are_positive(rate: float) -> None:
-    with pytest.raises(ConfigurationError, match="a rate"):
-        CommandFilter([2.0, rate, 2.0])
