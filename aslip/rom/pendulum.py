@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aslip.errors import ConfigurationError
+from aslip.base.checks import TINY, check_number
 from aslip.rom.gait import Gait
 from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
 from aslip.rom.slip import SlipParameters
@@ -59,12 +59,9 @@ class PendulumWalk:
     def __post_init__(self) -> None:
         """Check the settings."""
         for name in ("stride", "height", "width", "clearance", "mass"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)!r}")
-        if not 0 < self.swing_share <= 1:
-            raise ConfigurationError(f"swing_share must be in (0, 1], got {self.swing_share!r}")
-        if not np.isfinite(self.speed):
-            raise ConfigurationError(f"speed must be finite [m/s], got {self.speed!r}")
+            check_number(name, getattr(self, name), TINY)
+        check_number("swing_share", self.swing_share, TINY, 1.0)
+        check_number("speed", self.speed, what="in m/s")
 
     @property
     def command(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from torch.distributions import Normal
 
 import aslip
 from aslip.envs import GymEnv, GymVectorEnv
-from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, RenderingError, UnknownNameError
 
 ID = "aslip.envs.gymnasium:aslip/Walk-v0"
 
@@ -173,25 +173,6 @@ def test_robots_are_reset_in_the_step_after_the_end_of_their_episode() -> None:
     envs.close()
 
 
-def test_robots_are_reset_by_a_mask_if_autoreset_is_disabled() -> None:
-    envs = gymnasium.make_vec(ID, 3, autoreset_mode="Disabled", num_threads=1, seed=0)
-    first, _ = envs.reset()
-    actions = np.zeros((3, 10), dtype=np.float32)
-    actions[1] = np.nan
-    last, _, terminated, _, info = envs.step(actions)
-    assert terminated.tolist() == [False, True, False] and "final_obs" not in info
-    with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[1\]"):
-        envs.step(actions)
-    observation, _ = envs.reset(options={"reset_mask": terminated})
-    assert (observation == last).all(-1).tolist() == [True, False, True]
-    assert (observation != first).any(-1).all()
-    assert not envs.step(np.zeros((3, 10)))[2].any()
-    for mask, error in [(np.zeros(3, bool), ConfigurationError), (np.ones(2, bool), ShapeError)]:
-        with pytest.raises(error, match="reset_mask must"):
-            envs.reset(options={"reset_mask": mask})
-    envs.close()
-
-
 def test_wrong_settings_and_options_are_refused(one: GymEnv) -> None:
     with pytest.raises(ConfigurationError, match="render_mode"):
         GymEnv("human")
@@ -242,10 +223,10 @@ class Robots(VecEnv):
 
 def test_stable_baselines_ppo_trains(many: GymVectorEnv) -> None:
     envs = VecMonitor(Robots(many))
-    agent = PPO("MlpPolicy", envs, n_steps=32, batch_size=512, n_epochs=2, seed=0, device="cpu")
+    agent = PPO("MlpPolicy", envs, n_steps=16, batch_size=256, n_epochs=1, seed=0, device="cpu")
     start = [p.clone() for p in agent.policy.parameters()]
-    agent.learn(2 * 32 * many.num_envs)
-    assert agent.num_timesteps == 2048
+    agent.learn(2 * 16 * many.num_envs)
+    assert agent.num_timesteps == 1024
     moved = [not torch.equal(a, b) for a, b in zip(start, agent.policy.parameters(), strict=True)]
     assert all(moved)
     assert agent.ep_info_buffer and max(e["l"] for e in agent.ep_info_buffer) > 5
@@ -253,19 +234,14 @@ def test_stable_baselines_ppo_trains(many: GymVectorEnv) -> None:
     assert many.action_space.contains(action)
 
 
-def test_stable_baselines_ppo_takes_a_single_robot(one: GymEnv) -> None:
-    agent = PPO("MlpPolicy", one, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
-    assert agent.learn(16).num_timesteps == 16
-
-
 def test_a_cleanrl_like_loop_learns(many: GymVectorEnv) -> None:
-    """Advantage actor-critic over 2048 policy steps; its critic learns to predict the reward."""
+    """Advantage actor-critic over 1024 policy steps; its critic learns to predict the reward."""
     envs = RecordEpisodeStatistics(many)
     actor, critic = (nn.Sequential(nn.Linear(64, 32), nn.Tanh(), nn.Linear(32, k)) for k in (10, 1))
     optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], 1e-2)
     errors, lengths = [], []
     observation, _ = envs.reset(seed=0)
-    for _ in range(64):
+    for _ in range(32):
         state = torch.from_numpy(observation)
         policy = Normal(actor(state), 0.1)
         action = policy.sample()
@@ -283,5 +259,5 @@ def test_a_cleanrl_like_loop_learns(many: GymVectorEnv) -> None:
         loss.backward()
         optimizer.step()
         errors.append(advantage.square().mean().item())
-    assert np.mean(errors[-20:]) < 0.5 * np.mean(errors[:5])
+    assert np.mean(errors[-10:]) < 0.6 * np.mean(errors[:5])
     assert lengths and min(lengths) > 1

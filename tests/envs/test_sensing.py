@@ -37,7 +37,7 @@ class Liar(SeededTransform):
         return next_tensordict
 
 
-def _walk(env: StackEnv, steps: int = 40) -> list[TensorDictBase]:
+def _walk(env: StackEnv, steps: int = 12) -> list[TensorDictBase]:
     """Walk with fixed random actions; one robot is reset in between."""
     generator = torch.Generator().manual_seed(0)
     td = cast("TensorDictBase", env.reset())
@@ -79,25 +79,6 @@ def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLib
 # ----------------------------------------------------------------------- estimates
 
 
-def test_reset_restarts_the_estimate_of_its_robot_only(make: MakeEnv) -> None:
-    envs = [make(num_envs=3, seed=2, drop=JUDGES) for _ in range(2)]
-    td = [cast("TensorDictBase", env.reset()) for env in envs]
-    for step in range(12):
-        for i, env in enumerate(envs):
-            td[i]["action"] = torch.full((3, 10), 0.05)
-            td[i] = step_mdp(env.step(td[i]))
-        if step == 5:
-            td[0]["_reset"] = torch.tensor([[False], [True], [False]])
-            td[0] = cast("TensorDictBase", envs[0].reset(td[0]))
-            position = td[0]["odometry", "pelvis_position"]
-            torch.testing.assert_close(position[1, :2], torch.zeros(2), atol=1e-6, rtol=0)
-            height = td[0]["truth", "pelvis_position"][1, 2]
-            torch.testing.assert_close(position[1, 2], height, atol=2e-3, rtol=0)
-        for key in (("estimator", "memory"), "observation"):
-            assert torch.equal(td[0][key][[0, 2]], td[1][key][[0, 2]])
-    assert not torch.equal(td[0]["observation"][1], td[1]["observation"][1])
-
-
 def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None:
     """After half a second of the shipped policy with noisy sensors."""
     env = make(num_envs=4, seed=0, drop=JUDGES)
@@ -107,7 +88,7 @@ def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None
     td = cast("TensorDictBase", env.reset(TensorDict(start, batch_size=[4])))
     errors = []
     with torch.no_grad():
-        for _ in range(60):
+        for _ in range(40):
             td = step_mdp(env.step(policy(td)))
             errors.append(td["odometry", "pelvis_velocity"] - td["truth", "pelvis_velocity"])
     rms = torch.stack(errors[15:]).square().mean((0, 1)).sqrt()
@@ -154,7 +135,7 @@ def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: Gait
     envs[1] = make(num_envs=3, seed=4, drop=JUDGES, reward_on="estimate")
     policy = aslip.load_policy("straight")
     with torch.no_grad():
-        walks = [env.rollout(40, policy, break_when_any_done=False) for env in envs]
+        walks = [env.rollout(25, policy, break_when_any_done=False) for env in envs]
     seen, estimated = (walk["next", "reward"][:, 15:] for walk in walks)
     assert (seen - estimated).abs().mean() < 0.02
     assert not torch.equal(seen, estimated)
@@ -163,24 +144,3 @@ def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: Gait
     # the sum is left out: it reads whether the simulation diverged
     terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
     assert all(torch.isfinite(term).all() for term in terms.values())
-
-
-def test_estimated_feet_and_contacts_agree_with_the_truth(make: MakeEnv) -> None:
-    env = make(num_envs=4, seed=0, drop=["noise", "low_reward", "fall", "step_limit"])
-    policy = aslip.load_policy("straight")
-    td = env.reset()
-    same, apart = [], []
-    with torch.no_grad():
-        for _ in range(60):
-            td = step_mdp(env.step(policy(td)))
-            loaded = td["truth", "ground_force"][..., 2] > 60
-            clear = loaded[:, 0] != loaded[:, 1]
-            same.append((td["estimator", "contact"] == loaded).all(-1)[clear])
-            for side in ("left", "right"):
-                seen, true = (
-                    td[g, f"{side}_foot_position"] - td[g, "pelvis_position"]
-                    for g in ("odometry", "truth")
-                )
-                apart.append((seen - true).abs().amax(0))
-    assert torch.cat(same).float().mean() > 0.8
-    assert torch.stack(apart).max() < 0.01

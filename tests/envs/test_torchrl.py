@@ -21,10 +21,8 @@ from torchrl.envs.transforms import (
     FrameSkipTransform,
     InitTracker,
     NoopResetEnv,
-    RenameTransform,
     RewardScaling,
-    TargetReturn,
-    Transform,
+    RewardSum,
 )
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import (
@@ -34,7 +32,7 @@ from torchrl.modules import (
     TanhNormal,
     ValueOperator,
 )
-from torchrl.objectives import SACLoss, TD3Loss
+from torchrl.objectives import SACLoss
 
 from aslip import load_policy
 from aslip.envs import default_stack, make_env
@@ -67,31 +65,12 @@ def test_random_actions_may_precede_an_episode(make: MakeEnv) -> None:
     assert env.rollout(3)["next", "step_count"].flatten().tolist() == [4, 5, 6]
 
 
-def test_reward_to_go_can_be_computed(make: MakeEnv) -> None:
-    env = TransformedEnv(make(num_envs=2), TargetReturn(10.0))
-    data = env.rollout(3, lambda td: td.set("action", torch.zeros(2, 10)))
-    left = 10.0 - data["next", "reward"].cumsum(1)
-    torch.testing.assert_close(data["next", "target_return"], left)
-
-
-@pytest.mark.parametrize(
-    ("policy", "stack"),
-    [("straight", "default"), ("robust", "default"), ("single_reference", "single_reference")],
-)
-def test_shipped_policies_act_within_the_action_spec(
-    make: MakeEnv, policy: str, stack: str
-) -> None:
-    env = make(num_envs=5, stack=stack, library=None, seed=1)
-    data = env.rollout(60, load_policy(policy))
-    assert data["action"].abs().amax() > 0.2
-    assert env.action_spec.is_in(data["action"].transpose(0, 1))
-
-
-def test_random_actions_stay_within_the_action_spec(make: MakeEnv) -> None:
-    env = make(num_envs=64)
-    action = env.rand_action()["action"]
-    assert env.action_spec.is_in(action)
-    assert action.abs().amax() > 0.9 * env.action_spec.high.max()
+def test_shipped_policies_act_within_the_action_spec(make: MakeEnv) -> None:
+    for policy, stack in (("straight", "default"), ("single_reference", "single_reference")):
+        env = make(num_envs=5, stack=stack, library=None, seed=1)
+        data = env.rollout(30, load_policy(policy))
+        assert data["action"].abs().amax() > 0.2
+        assert env.action_spec.is_in(data["action"].transpose(0, 1))
 
 
 def test_actions_can_be_scaled(make: MakeEnv) -> None:
@@ -100,6 +79,7 @@ def test_actions_can_be_scaled(make: MakeEnv) -> None:
     high = plain.action_spec.high
     scaled.append_transform(ActionScaling())
     check_env_specs(scaled)
+    check_env_specs(TransformedEnv(make(num_envs=2), ActionScaling()))
     seen = []
     for env, action in ((plain, 0.2 * high), (scaled, torch.full((2, 10), 0.2))):
         env.set_seed(1)
@@ -118,18 +98,6 @@ def test_actions_can_be_discretised(make: MakeEnv) -> None:
     values = data["next", "last_action"].unique()
     assert values.abs().max() <= high
     assert len(values) <= 3
-
-
-def _rename() -> Transform:
-    return RenameTransform([], [], in_keys_inv=["action"], out_keys_inv=["delta"])
-
-
-@pytest.mark.parametrize("transform", [ActionScaling, lambda: ActionDiscretizer(3), _rename])
-def test_outer_environments_may_transform_actions(make: MakeEnv, transform: Any) -> None:
-    env = TransformedEnv(make(num_envs=2), transform())
-    data = env.rollout(3, break_when_any_done=False)
-    assert data.shape == (2, 3)
-    check_env_specs(env)
 
 
 def test_action_spec_cannot_be_set(make: MakeEnv) -> None:
@@ -175,16 +143,6 @@ def test_sac_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
     assert all(value.isfinite().all() for value in loss(data.reshape(-1)).values())
 
 
-@_NO_UPDATER
-def test_td3_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
-    env = make(num_envs=3)
-    net = nn.Sequential(MLP(in_features=64, out_features=10, num_cells=[8]), nn.Tanh())
-    actor = TensorDictModule(net, ["observation"], ["action"])
-    loss = TD3Loss(actor, _critic(), action_spec=env.action_spec_unbatched)
-    data = env.rollout(3, actor, break_when_any_done=False)
-    assert loss(data.reshape(-1))["loss_qvalue"].isfinite()
-
-
 def test_shipped_policies_collect_without_warnings(
     make: MakeEnv, recwarn: pytest.WarningsRecorder
 ) -> None:
@@ -196,15 +154,17 @@ def test_shipped_policies_collect_without_warnings(
     assert not data["is_init"][:, 1:].any()
 
 
-def test_first_steps_are_marked_as_in_torchrl(make: MakeEnv) -> None:
+def test_first_steps_and_sums_of_rewards_are_those_of_torchrl(make: MakeEnv) -> None:
     env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
     env.append_transform(InitTracker("torchrl_is_init"))
+    env.append_transform(RewardSum(in_keys=["reward"], out_keys=["torchrl_sum"]))
     torch.manual_seed(0)
     data = env.rollout(30, break_when_any_done=False)
     done = data["next", "done"][..., 0]
     assert (done.any(0) & ~done.all(0)).any()  # some robots were reset while others continued
     for level in (data, data["next"]):
         assert torch.equal(level["is_init"], level["torchrl_is_init"])
+        assert torch.equal(level["episode_reward"], level["torchrl_sum"])
 
 
 def test_collectors_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:

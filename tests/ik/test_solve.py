@@ -79,12 +79,6 @@ def test_springs_are_at_rest(mujoco_model, kinematics, smooth_motion):
     assert not solution.qvel[:, velocity].any()
 
 
-def test_motor_columns_are_columns_of_qpos_and_qvel(mujoco_model, walking):
-    position, velocity = _slots(mujoco_model, CASSIE.motor_names)
-    np.testing.assert_array_equal(walking.motor_position, walking.qpos[:, position])
-    np.testing.assert_array_equal(walking.motor_velocity, walking.qvel[:, velocity])
-
-
 def test_joint_limits_are_respected(mujoco_model, walking):
     limited = mujoco_model.jnt_limited.astype(bool)
     low, high = mujoco_model.jnt_range[limited].T
@@ -197,21 +191,6 @@ def test_pose_does_not_depend_on_its_batch(kinematics, smooth_motion):
         for i in (0, 18, 36):
             alone = solve(kinematics, *(_take(target, [i]) for target in targets))
             np.testing.assert_array_equal(getattr(alone, name)[0], whole[i])
-
-
-def test_empty_targets_give_an_empty_solution(kinematics):
-    empty = BodyTarget(np.zeros((0, 3)))
-    solution = solve(kinematics, empty, empty, empty)
-    assert solution.qpos.shape == (0, 35)
-    assert solution.residual.loop == 0
-
-
-def test_targets_are_not_changed(kinematics, smooth_motion):
-    targets, copies = (smooth_motion(np.linspace(0, 3, 5)) for _ in range(2))
-    solve(kinematics, *targets)
-    for target, copy in zip(targets, copies, strict=True):
-        for name, value in vars(copy).items():
-            np.testing.assert_array_equal(getattr(target, name), value)
 
 
 @pytest.mark.parametrize("joint", ["tarsus", "plantar_rod"])

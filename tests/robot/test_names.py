@@ -14,11 +14,6 @@ def test_left_comes_before_right_and_legs_are_named_alike(names: tuple[str, ...]
     assert tuple(mirror_name(name) for name in names[:half]) == names[half:]
 
 
-def test_motor_order_is_roll_yaw_pitch_knee_foot() -> None:
-    expected = ("hip_roll", "hip_yaw", "hip_pitch", "knee", "foot")
-    assert tuple(name.removeprefix("left_") for name in CASSIE.motor_names[:5]) == expected
-
-
 @pytest.mark.parametrize("name", [*CASSIE.motor_names, "left_right_thing"])
 def test_mirroring_twice_changes_nothing(name: str) -> None:
     assert mirror_name(name) != name

@@ -43,14 +43,6 @@ def test_joint_torque_and_no_load_speed_follow_from_motor_and_gear() -> None:
     np.testing.assert_allclose(speed[:5], [12.147, 12.147, 8.508, 8.508, 11.519], atol=1e-3)
 
 
-def test_periods_are_whole_numbers_of_substeps() -> None:
-    assert CASSIE.physics_timestep == 0.0005
-    assert CASSIE.substeps == 60
-    assert pytest.approx(0.030) == CASSIE.policy_period
-    assert pytest.approx(0.003) == CASSIE.packet_period
-    assert CASSIE.sensor_window == 10
-
-
 def test_packet_entries_follow_each_other() -> None:
     numbers = np.arange(CASSIE.packet_size)
     parts = [numbers[CASSIE.packet_slices[name]] for name in CASSIE.packet_sizes]

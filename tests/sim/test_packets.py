@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.signal import lfilter
 
-from aslip.envs import BipedPhysics
 from aslip.robot import CASSIE
 from aslip.sim import SimulationPool, Simulations
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS
@@ -19,22 +17,6 @@ from tests.helpers import motor_torque
 def _targets(pool: SimulationPool, rng: np.random.Generator) -> np.ndarray:
     standing = pool.model.key("standing").qpos[pool.indices.motor_qpos]
     return standing + rng.normal(0, 0.3, (pool.num, 10))
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_packets_do_not_depend_on_the_number_of_threads(threads: int) -> None:
-    num, rng = 70, np.random.default_rng(2)
-    pool, whole = SimulationPool(num, num_threads=threads), Simulations(num, num_threads=1)
-    for step in range(3):
-        targets = _targets(pool, rng)
-        pool.advance(targets)
-        whole.advance(targets)
-        if step == 1:
-            ids = np.array([0, 33, 64])
-            for simulations in (pool, whole):
-                simulations.reset(ids)
-        for name, window in pool.packets().items():
-            np.testing.assert_array_equal(window, whole.sensors.packets()[name], err_msg=name)
 
 
 def test_drive_uses_the_readings_of_the_previous_substep() -> None:
@@ -91,16 +73,3 @@ def test_saved_states_include_the_sensors() -> None:
     np.testing.assert_array_equal(pool.states(), other.states())
     for name, window in pool.packets().items():
         np.testing.assert_array_equal(window, other.packets()[name], err_msg=name)
-
-
-def test_copied_physics_has_its_own_sensors() -> None:
-    physics, rng = BipedPhysics.load(), np.random.default_rng(5)
-    standing = physics.motor_position()
-    physics.set_control(standing + rng.normal(0, 0.3, 10))
-    physics.step(CASSIE.substeps + 7)
-    twin = physics.copy()
-    for robot in (physics, twin):
-        robot.step(CASSIE.substeps)
-    for name, window in physics.packets().items():
-        np.testing.assert_array_equal(window, twin.packets()[name], err_msg=name)
-    np.testing.assert_array_equal(physics.data.qpos, twin.data.qpos)

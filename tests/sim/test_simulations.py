@@ -160,15 +160,6 @@ def test_results_do_not_depend_on_the_number_of_threads() -> None:
     assert_rows_equal(one, many, list(range(5)))
 
 
-def test_results_do_not_depend_on_the_number_of_simulations() -> None:
-    targets = random_targets(4, 5)
-    many, single = Simulations(4, num_threads=1), Simulations(1, num_threads=1)
-    for target in targets:
-        many.advance(target)
-        single.advance(target[2:3])
-    np.testing.assert_array_equal(many.snapshot().qpos[2], single.snapshot().qpos[0])
-
-
 def test_torque_acts_after_exactly_six_substeps() -> None:
     """The delay of 3 ms is in the model: a step of torque shows in the seventh substep."""
     model = load_model()
@@ -256,16 +247,6 @@ def test_snapshot_shows_the_state_of_a_reset() -> None:
     np.testing.assert_allclose(
         moved, np.stack([qpos[:, :3] - standing[:3]] * 3, axis=1), atol=1e-12
     )
-
-
-def test_reset_of_no_simulation_does_nothing() -> None:
-    simulations = Simulations(1, num_threads=1)
-    simulations.advance(random_targets(1, 1)[0])
-    before = arrays(simulations)
-    simulations.reset(np.array([], dtype=int))
-    after = arrays(simulations)
-    for name in before:
-        np.testing.assert_array_equal(before[name], after[name])
 
 
 # -------------------------------------------------------------- misuse

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.robot import CASSIE
 from aslip.robot.rotation import rotate_inverse, upper_hemisphere
 from aslip.sim import Simulations, Snapshot, true_state
 
@@ -96,21 +95,6 @@ def test_acceleration_in_free_fall_is_gravity(simulations: Simulations) -> None:
     truth = true_state(simulations.snapshot(), simulations.indices)
     gravity = rotate_inverse(qpos[:, 3:7], np.array([0, 0, -9.81]))
     np.testing.assert_allclose(truth["pelvis_acceleration"], gravity, atol=1e-6)
-
-
-def test_acceleration_at_rest_is_zero() -> None:
-    """At any attitude the acceleration has no gravity."""
-    indices = CASSIE.indices
-    quaternions = _random_quaternions(5)
-    sensors = np.zeros((5, 19))
-    qpos = np.zeros((5, 35))
-    qpos[:, 3:7] = quaternions
-    sites = np.zeros((5, 3, 3)), np.tile(np.eye(3).ravel(), (5, 3, 1))
-    rest = np.zeros((5, 32))
-    force = np.zeros((5, 2, 3))
-    snapshot = Snapshot(qpos, rest, rest, *sites, sensors, force, rest, rest[:, :10], force[..., 2])
-    truth = true_state(snapshot, indices)
-    np.testing.assert_allclose(truth["pelvis_acceleration"], 0.0, atol=1e-14)
 
 
 def test_true_state_takes_any_leading_shape(simulations: Simulations) -> None:
