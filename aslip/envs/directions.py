@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aslip.envs import RewardSource
 from aslip.envs.edit import Stack, insert_before
-from aslip.envs.straight import shipped_library, stack_of
+from aslip.envs.straight import shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -98,10 +98,7 @@ def _terms() -> Stack:
         rewards.landing: ([("truth", "largest_force")], []),
         rewards.squeeze: ([("truth", "ground_force")], []),
     }
-    return {
-        function.__name__: RewardTerm(function.__name__, function, *keys)
-        for function, keys in reads.items()
-    }
+    return terms_of(reads)
 
 
 def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:

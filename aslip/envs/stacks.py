@@ -8,19 +8,9 @@ from typing import Any, Final
 
 from aslip.envs.directions import directions_stack, standing_stack
 from aslip.envs.edit import Stack, needs_simulation, require_names
-from aslip.envs.straight import (
-    default_stack,
-    paper_stack,
-    shipped_library,
-    single_reference_stack,
-)
+from aslip.envs.straight import default_stack, paper_stack, shipped_library, single_reference_stack
 from aslip.library import GaitLibrary
-from aslip.transforms import (
-    ObservationNoise,
-    ReferenceInjection,
-    RewardTerm,
-    TrueState,
-)
+from aslip.transforms import ObservationNoise, ReferenceInjection, RewardTerm, TrueState
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
 
 EPISODE_ENDS: Final = ("low_reward", "step_limit")

@@ -52,11 +52,7 @@ class StateEstimator:
         noise: noise that the filter assumes.
     """
 
-    def __init__(
-        self,
-        robot: Robot = CASSIE,
-        noise: FilterNoise | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot = CASSIE, noise: FilterNoise | None = None) -> None:
         self.robot = robot
         """Robot that sends the packets."""
         self._at = robot.packet_slices
@@ -104,12 +100,9 @@ class StateEstimator:
         memory = PacketMemory.of(blind.reading)
         motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
-        ahead = (
-            yaw(memory.reading[:, self._at["orientation"]])
-            if heading is None
-            else _headings(heading, num)
-        )
-        tracking = Tracking(belief, memory, geometry.angular_acceleration, ahead)
+        own = yaw(memory.reading[:, self._at["orientation"]])
+        headings = own if heading is None else _headings(heading, num)
+        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings)
         nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 

@@ -263,11 +263,7 @@ def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
     return tuple(check_number("a rate", rate, TINY, what="per s^2") for rate in rates)
 
 
-def approach_command(
-    past: Tensor,
-    command: Tensor,
-    rates: Sequence[float] | Tensor,
-) -> Tensor:
+def approach_command(past: Tensor, command: Tensor, rates: Sequence[float] | Tensor) -> Tensor:
     """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
     Args:

@@ -13,12 +13,7 @@ from torchrl.data import Composite
 
 from aslip.base.checks import check_number
 from aslip.robot import CASSIE
-from aslip.transforms.base import (
-    SeededTransform,
-    check_interval,
-    extend_spec,
-    require_keys,
-)
+from aslip.transforms.base import SeededTransform, check_interval, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
 
 

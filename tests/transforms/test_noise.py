@@ -16,6 +16,7 @@ from torch import Tensor
 
 from aslip.robot import CASSIE
 from aslip.transforms import NoiseLevel, ObservationNoise
+from aslip.transforms.noise import BIAS_TIME
 from tests.helpers import differing, leaves, seeded
 
 WINDOW = 10
@@ -132,14 +133,12 @@ def test_the_packets_of_a_step_share_a_bias_which_is_reported() -> None:
         td = _next(noise, td, clean)
 
 
-@pytest.mark.parametrize(("bias_time", "steps"), [(0.3, 1), (0.3, 10), (10.0, 333)])
-def test_the_bias_is_stationary_with_the_given_correlation_time(
-    bias_time: float, steps: int
-) -> None:
+@pytest.mark.parametrize("steps", [1, 333])
+def test_the_bias_is_stationary_with_the_given_correlation_time(steps: int) -> None:
     """N values: std within 5 / sqrt(2 N), correlation r over t/tau within 5 (1 - r^2) / sqrt(N)."""
     num, level = 500, 0.3
     clean = _clean(num, window=1)
-    noise = _noise(_everywhere(bias=level), bias_time=bias_time)
+    noise = _noise(_everywhere(bias=level))
     td = first = _start(noise, clean)
     for _ in range(steps):
         td = _next(noise, td, clean)
@@ -148,7 +147,7 @@ def test_the_bias_is_stationary_with_the_given_correlation_time(
     for value in (start, end):
         assert abs(value.mean()) < 5 / math.sqrt(count)
         assert abs(value.std() - 1) < 5 / math.sqrt(2 * count)
-    expected = math.exp(-steps * CASSIE.policy_period / bias_time)
+    expected = math.exp(-steps * CASSIE.policy_period / BIAS_TIME)
     tolerance = 5 * (1 - expected**2) / math.sqrt(count)
     correlation = torch.corrcoef(torch.stack([start.flatten(), end.flatten()]))[0, 1]
     assert abs(correlation - expected) < tolerance
@@ -157,14 +156,14 @@ def test_the_bias_is_stationary_with_the_given_correlation_time(
 def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
     """The transform keeps no state: it steps two episodes in alternation."""
     clean = _clean(3)
-    noise = _noise(_everywhere(bias=1.0), bias_time=math.inf)
+    noise = _noise(_everywhere(bias=1.0))
     one, other = _start(noise, clean), _start(noise, clean)
     for _ in range(3):
         after_one, after_other = _next(noise, one, clean), _next(noise, other, clean)
-        assert torch.equal(_bias(after_one), _bias(one))
-        assert torch.equal(_bias(after_other), _bias(other))
+        for before, after in ((one, after_one), (other, after_other)):
+            assert (_bias(after) - _bias(before)).abs().max() < 0.5
         one, other = after_one, after_other
-    assert not torch.equal(_bias(one), _bias(other))
+    assert (_bias(one) - _bias(other)).abs().max() > 1.0
 
 
 # ------------------------------------------------------------ orientation
@@ -209,8 +208,8 @@ def test_the_orientation_stays_a_unit_quaternion_with_w_of_0_or_more() -> None:
 # ------------------------------------------------------- none, and scales
 
 
-@pytest.mark.parametrize("noise", [_noise(scale=0.0), _noise(SILENT), _noise(SILENT, 3.0)])
-def test_without_noise_the_packets_are_bit_equal(noise: ObservationNoise) -> None:
+def test_without_noise_the_packets_are_bit_equal() -> None:
+    noise = _noise(SILENT)
     clean = _clean(4)
     td = _start(noise, clean)
     for _ in range(2):
@@ -231,14 +230,6 @@ def test_channels_without_noise_are_bit_equal() -> None:
         assert changed[name].any(1).any(0).tolist() == [True, True, False] * 2, name
     for name in ("orientation", "gyro", "accelerometer"):
         assert changed[name].any(-1).all(), name
-
-
-def test_the_scale_multiplies_noise_and_bias() -> None:
-    clean = _clean(4)
-    whole, half = (_start(_noise(scale=scale), clean) for scale in (1.0, 0.5))
-    torch.testing.assert_close(_bias(half), 0.5 * _bias(whole))
-    left, right = (_join(_errors(td, clean)) for td in (half, whole))
-    torch.testing.assert_close(left, 0.5 * right, rtol=0, atol=1e-6)
 
 
 def test_nan_stays_in_its_packet() -> None:

@@ -14,7 +14,7 @@ from aslip.envs import Stack, StackEnv, default_stack, insert_before, randomise_
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
-from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics
+from aslip.transforms import DYNAMICS_RANGES, RandomDynamics
 from tests.helpers import MakeEnv, differing
 
 BACKENDS = ("batch", "dm_control")
@@ -214,7 +214,7 @@ def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
 def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
     """With the same seed, a factor of two doubles the error exactly, and zero removes it."""
     settings: dict[str, Any] = {"num_envs": 1, "seed": 4, "drop": ["low_reward"]}
-    clean = make(**settings, replace={"noise": ObservationNoise(scale=0)})
+    clean = make(**settings | {"drop": ["low_reward", "noise"]})
     errors = {}
     for factor in (0.0, 1.0, 2.0):
         stack = _stack(library, {"sensor_noise": (factor, factor)})
@@ -228,9 +228,9 @@ def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> No
 def test_a_partial_reset_draws_a_noise_factor(make: MakeEnv, library: GaitLibrary) -> None:
     """Its error is the drawn factor times the error at a factor of one."""
     packets = []
-    for scale, ranges in ((1.0, (0.5, 50.0)), (1.0, (1.0, 1.0)), (0.0, (0.5, 50.0))):
+    for drop, ranges in (((), (0.5, 50.0)), ((), (1.0, 1.0)), (("noise",), (0.5, 50.0))):
         stack = _stack(library, {"sensor_noise": ranges})
-        env = make(num_envs=3, stack=stack | {"noise": ObservationNoise(scale=scale)})
+        env = make(num_envs=3, stack=stack, drop=drop)
         td = env.reset()
         td["_reset"] = torch.tensor([[False], [False], [True]])
         td = env.reset(td)
