@@ -266,37 +266,36 @@ def check_wiring(env: StackEnv) -> None:
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
     available.update(env.full_done_spec)
-    summed = rewarded = sensed = False
-    ever_rewarded = any("reward" in transform.out_keys for transform in env.transforms)
-    for name, transform in zip(env.transform_names, env.transforms, strict=True):
-        if isinstance(transform, RewardTerm) and summed:
-            raise ConfigurationError(
-                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum, which would"
-                ' miss it; insert it with insert_before(stack, "reward", ...)'
-            )
-        if getattr(transform, "must_be_last", False) and transform is not env.transforms[-1]:
-            raise ConfigurationError(
-                f"{name!r} must be the last transform, or its log misses the entries of later ones;"
-                f" the last transform is {env.transform_names[-1]!r}"
-            )
-        # without any reward the sums are zero, which is right, but LowReward would end all episodes
-        reads = isinstance(transform, LowReward) or (
-            isinstance(transform, EpisodeSum | RewardSum) and ever_rewarded
-        )
-        if reads and not rewarded:
-            raise ConfigurationError(
-                f"{name!r} reads a reward that no transform before it writes; drop it, too"
-            )
-        if isinstance(transform, ObservationNoise) and sensed:
-            raise ConfigurationError(
-                f"{name!r} comes after the estimator and would have no effect; insert it with"
-                ' insert_before(stack, "estimator", ...)'
-            )
-        summed |= isinstance(transform, WeightedReward)
-        rewarded |= "reward" in transform.out_keys
-        sensed |= isinstance(transform, EstimatedState)
+    for i, (name, transform) in enumerate(zip(env.transform_names, env.transforms, strict=True)):
+        if problem := _misplaced(transform, env.transforms[:i], env.transforms):
+            raise ConfigurationError(f"{name!r} {problem}")
         if isinstance(transform, RewardTerm | ActionDelta | LastAction):
             require_keys(transform, available, transform.in_keys)
+
+
+def _misplaced(transform: Transform, before: list[Transform], stack: list[Transform]) -> str:
+    """What is wrong with the place of a transform in a stack; empty if nothing is."""
+
+    def has(some: list[Transform], kind: type[Transform]) -> bool:
+        return any(isinstance(one, kind) for one in some)
+
+    def rewarded(some: list[Transform]) -> bool:
+        return any("reward" in one.out_keys for one in some)
+
+    if isinstance(transform, RewardTerm) and has(before, WeightedReward):
+        return 'comes after the sum; insert it with insert_before(stack, "reward", ...)'
+    if getattr(transform, "must_be_last", False) and transform is not stack[-1]:
+        return "must be the last transform, or its log misses the entries of later ones"
+    # without any reward the sums are zero, which is right, but LowReward would end all episodes
+    sums = isinstance(transform, EpisodeSum | RewardSum) and rewarded(stack)
+    if (sums or isinstance(transform, LowReward)) and not rewarded(before):
+        return "reads a reward that no transform before it writes; drop it, too"
+    if isinstance(transform, ObservationNoise) and has(before, EstimatedState):
+        return (
+            "comes after the estimator and would have no effect; insert it with"
+            ' insert_before(stack, "estimator", ...)'
+        )
+    return ""
 
 
 def _check_simulation(env: StackEnv) -> None:

@@ -98,11 +98,17 @@ class StateEstimator:
         blind.repeats -= np.inf
         screened = self._screen(rows, blind)
         memory = PacketMemory.of(blind.reading)
-        motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
+        good = {name: np.ones_like(getattr(screened, name)) for name in ("legs", "imu", "age")}
+        motions, geometry = self._interpret(
+            memory.reading, np.zeros((num, 3)), screened._replace(**good)
+        )
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
-        own = yaw(memory.reading[:, self._at["orientation"]])
-        headings = own if heading is None else _headings(heading, num)
-        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings)
+        if heading is None:
+            heading = yaw(memory.reading[:, self._at["orientation"]])
+        headings = np.broadcast_to(np.asarray(heading, dtype=np.float64).reshape(-1), (num,))
+        if not np.isfinite(headings).all():
+            raise ConfigurationError(f"heading must be finite, got {headings.tolist()}")
+        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings.copy())
         nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 
@@ -270,22 +276,6 @@ class _Geometry:
     lateral: np.ndarray
     acceleration: np.ndarray
     angular_acceleration: np.ndarray
-
-
-def _headings(heading: ArrayLike, num: int) -> np.ndarray:
-    """(num,) headings from one, (num,) or (num, 1)."""
-    values = np.asarray(heading, dtype=np.float64)
-    if values.shape not in ((), (num,), (num, 1)):
-        raise ShapeError(f"heading must be one number or ({num}, 1), got the shape {values.shape}")
-    if not np.isfinite(values).all():
-        raise ConfigurationError(f"heading must be finite, got {values.tolist()}")
-    return np.broadcast_to(values.reshape(-1), (num,)).copy()
-
-
-def _good(screened: Screened) -> Screened:
-    """Copy of the screened packets with all readings marked good."""
-    legs, imu, age = (np.ones_like(field) for field in (screened.legs, screened.imu, screened.age))
-    return screened._replace(legs=legs, imu=imu, age=age)
 
 
 def _standing(robot: Robot) -> np.ndarray:

@@ -57,9 +57,6 @@ def join(packet: Mapping[str, np.ndarray], robot: Robot = CASSIE) -> np.ndarray:
         if entry.shape[-1:] != (size,):
             raise ShapeError(f"{name} of a packet must have {size} numbers, got {entry.shape}")
         entries.append(entry)
-    shapes = {entry.shape[:-1] for entry in entries}
-    if len(shapes) > 1:
-        raise ShapeError(f"the entries of packets must have one leading shape, got {shapes}")
     return np.concatenate(entries, axis=-1)
 
 

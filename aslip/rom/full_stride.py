@@ -70,6 +70,8 @@ class WholeStride:
 class StrideProblem(GaitProgram[WholeStride]):
     """Nonlinear program of a stride; its command is (forward, sideways speed, yaw rate)."""
 
+    _variables = WholeStride
+
     def _formulate(self) -> None:
         p, opti = self.parameters, self.opti
 
@@ -198,16 +200,6 @@ class StrideProblem(GaitProgram[WholeStride]):
         place = self.foothold[:, foot] - ca.DM([behind, 0.0])
         point = way + _rotate(angle, ca.repmat(place, 1, count))
         return ca.vertcat(point, ca.MX.zeros(1, count))
-
-    def solution(self) -> WholeStride:
-        """Values of all variables after a successful solve."""
-        value = self.opti.value
-        return WholeStride(
-            state=np.asarray(value(self.state)),
-            control=np.asarray(value(self.control)),
-            double_stance=float(value(self.double_stance)),
-            foothold=np.asarray(value(self.foothold)),
-        )
 
     def modes(self, solution: WholeStride, command: np.ndarray) -> list[ModeSolution]:
         """Four contact modes."""

@@ -196,28 +196,23 @@ class Gait:
             FileDamagedError: a field is missing, or certificate or parameters cannot be read.
             ShapeError: an array has the wrong shape.
         """
-        tracks = [name for names in _TRACKS.values() for name in names]
         columns = ("command", "time", "mode", *_COLUMNS)
-        needed = (*_SCALARS, *columns, *tracks, "certificate", "parameters")
-        missing = [name for name in needed if name not in arrays]
-        if missing:
-            raise FileDamagedError(f"a gait needs {', '.join(missing)}; got {sorted(arrays)}")
         try:
-            certificate = Certificate.from_json(str(arrays["certificate"]))
-            parameters = SlipParameters(**json.loads(str(arrays["parameters"])))
-        except (ValueError, TypeError) as error:
+            return cls(
+                stride=float(arrays["stride"]),
+                cost=float(arrays["cost"]),
+                **{name: arrays[name] for name in columns},
+                body=Track(*(arrays[name] for name in _TRACKS["body"])),
+                feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
+                certificate=Certificate.from_json(str(arrays["certificate"])),
+                parameters=SlipParameters(**json.loads(str(arrays["parameters"]))),
+            )
+        except KeyError as error:
+            raise FileDamagedError(f"a gait needs {error}; got {sorted(arrays)}") from error
+        except (json.JSONDecodeError, TypeError) as error:
             raise FileDamagedError(
                 f"certificate or parameters of a gait are unreadable: {error}"
             ) from error
-        return cls(
-            stride=float(arrays["stride"]),
-            cost=float(arrays["cost"]),
-            **{name: arrays[name] for name in columns},
-            body=Track(*(arrays[name] for name in _TRACKS["body"])),
-            feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
-            certificate=certificate,
-            parameters=parameters,
-        )
 
 
 def swinging_feet(

@@ -111,7 +111,6 @@ class SimulationPool:
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         """Change fields of some simulations' models; see `Simulations.write_fields`."""
-        ids = check_ids(ids, self.num)
         for part, rows, own_ids in self._owners(ids):
             part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
 

@@ -212,7 +212,7 @@ def check_interval(interval: Any) -> float:
         ConfigurationError: it is no number, or shorter than a policy step.
     """
     real = isinstance(interval, Real) and not isinstance(interval, bool)
-    if not real or not interval >= CASSIE.policy_period:
+    if not real or not float(interval) >= CASSIE.policy_period:
         raise ConfigurationError(
             f"interval must be at least one policy step, {CASSIE.policy_period} s, got {interval!r}"
         )

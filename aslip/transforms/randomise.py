@@ -109,12 +109,12 @@ class RandomDynamics(ChosenAtReset):
             parameter = parameter_named(name)
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise ConfigurationError(f"the range of {name!r} must be (low, high), got {pair!r}")
-            low, high = (check_number(f"a limit of {name!r}", value) for value in pair)
-            if not parameter.low <= low <= high <= parameter.high:
-                raise ConfigurationError(
-                    f"{name} must be drawn from a range within {parameter.low:g} to"
-                    f" {parameter.high:g} ({parameter.meaning}), got {low!r} to {high!r}"
-                )
+            low, high = (
+                check_number(f"a limit of {name!r}", value, parameter.low, parameter.high)
+                for value in pair
+            )
+            if low > high:
+                raise ConfigurationError(f"the range of {name!r} must be (low, high), got {pair!r}")
         super().__init__(
             [] if difficulty_key is None else [difficulty_key],
             {("dynamics", name): 1 for name in ranges},

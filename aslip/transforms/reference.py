@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Literal, cast, get_args
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
@@ -179,20 +177,14 @@ class Feedforward(SeededTransform):
     robot's weight. A policy would first have to learn to correct both. The torques
     :math:`\hat\tau` come from the leg forces of the reduced-order model.
 
-    Args:
-        stiffness: (m,) gains K_p of the PD loops [N m/rad].
-        damping: (m,) gains K_d [N m s/rad].
+    K_p and K_d are the gains of `Robot.stiffness` and `Robot.damping`.
     """
 
     @on_cpu_in_single
-    def __init__(
-        self,
-        stiffness: ArrayLike = CASSIE.stiffness,
-        damping: ArrayLike = CASSIE.damping,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
         self._stiffness, self._damping = (
-            torch.tensor(np.asarray(gain), dtype=torch.float32) for gain in (stiffness, damping)
+            torch.tensor(gain, dtype=torch.float32) for gain in (CASSIE.stiffness, CASSIE.damping)
         )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:

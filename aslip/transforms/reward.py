@@ -46,16 +46,14 @@ class RewardTerm(SeededTransform):
         next_keys: Sequence[NestedKey],
         root_keys: Sequence[NestedKey] = (),
     ) -> None:
-        if not isinstance(name, str) or not name:
-            raise ConfigurationError(f"name must be a string that is not empty, got {name!r}")
-        if not callable(function):
-            raise ConfigurationError(f"function of {name!r} must be callable, got {function!r}")
-        for which, keys in (("next_keys", next_keys), ("root_keys", root_keys)):
-            if isinstance(keys, str) or not isinstance(keys, Sequence):
-                raise ConfigurationError(f"{which} of {name!r} must be a list, got {keys!r}")
-        if not [*next_keys, *root_keys]:
+        if not (isinstance(name, str) and name and callable(function)):
             raise ConfigurationError(
-                f"the term {name!r} reads nothing; give next_keys or root_keys"
+                f"a reward term needs a name and a function, got {name!r} and {function!r}"
+            )
+        if isinstance(next_keys, str) or isinstance(root_keys, str) or not [*next_keys, *root_keys]:
+            raise ConfigurationError(
+                f"the reward term {name!r} needs lists of the entries that it reads, next_keys or"
+                f" root_keys, got {next_keys!r} and {root_keys!r}"
             )
         super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
         self.function = function

@@ -53,16 +53,6 @@ def test_same_seed_and_actions_give_the_same_trajectory() -> None:
             np.testing.assert_array_equal(a.observation[name], b.observation[name])
 
 
-def test_consecutive_observations_share_no_memory() -> None:
-    environment = walk_environment(random=0)
-    before = environment.reset().observation
-    copies = {name: np.copy(value) for name, value in before.items()}
-    after = environment.step(environment.physics.motor_position()).observation
-    for name in before:
-        assert not np.shares_memory(before[name], after[name]), name
-        np.testing.assert_array_equal(before[name], copies[name])
-
-
 def test_no_element_of_the_observation_is_constant() -> None:
     steps = _episode(0, 20)
     for name in steps[0].observation:

@@ -165,35 +165,6 @@ def test_packets_of_wrong_shape_are_refused(walk: Walk) -> None:
         Tracking.from_rows(np.zeros((2, 7)))
 
 
-def test_acceleration_is_that_of_the_pelvis_origin_in_the_pelvis_frame() -> None:
-    """The robot has an angular acceleration, and the IMU is beside the origin."""
-    arm = np.array(CASSIE.skeleton.sites["imu"].position)
-    turns = [
-        Rotation.from_euler("xyz", angles) for angles in ([0.4, -0.3, 1.0], [0.41, -0.32, 1.01])
-    ]
-    before, after, world = (
-        np.array([2.0, -2.0, 1.5]),
-        np.array([2.3, -2.2, 1.9]),
-        np.array([1.0, 2.0, -0.5]),
-    )
-    alpha, spin = (after - before) / 0.003, (before + after) / 2
-    own = turns[1].inv().apply(world)
-    force = (
-        own
-        + turns[1].inv().apply([0, 0, 9.81])
-        + np.cross(alpha, arm)
-        + np.cross(spin, np.cross(spin, arm))
-    )
-    estimator = StateEstimator()
-    tracking, _ = estimator.start(
-        standing_packet(turns[0], before, turns[0].inv().apply([0, 0, 9.81]))
-    )
-    estimate = estimator.update(tracking, standing_packet(turns[1], after, force))
-    assert not estimate.faults.any()
-    np.testing.assert_allclose(estimate.acceleration[0], own, atol=1e-9)
-    np.testing.assert_array_equal(estimate.angular_velocity[0], after)
-
-
 def test_acceleration_is_turned_by_the_mean_attitude_between_packets() -> None:
     rate = 3.0
     estimator = StateEstimator()

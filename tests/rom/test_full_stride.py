@@ -10,7 +10,6 @@ from aslip.errors import GaitOptimizationError
 from aslip.rom import (
     DIRECTION_MODEL,
     Mode,
-    SampledMotion,
     mirror,
     optimize,
     optimize_gait,
@@ -20,8 +19,7 @@ from aslip.rom.arc import twist_pose
 from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS
 
-from .equations import derivative
-from .velocities import check_velocities
+from .laws import derivative
 
 POINTS = 2 * INTERVALS
 """Points per contact mode."""
@@ -46,13 +44,6 @@ def gaits():
 @pytest.fixture(params=COMMANDS, ids=str)
 def gait(gaits, request):
     return gaits[request.param]
-
-
-def test_gait_is_certified(gait):
-    certificate = gait.certificate
-    assert certificate.ok, certificate.failures()
-    assert certificate.kkt_residual <= 1e-8
-    assert certificate.integration_error <= 1e-4
 
 
 def state_at(gait, point):
@@ -176,10 +167,6 @@ def test_feet_stand_still_and_toes_point_along_the_heading_of_mid_stance(gait):
         np.testing.assert_allclose(toes, middle, atol=1e-3)
 
 
-def test_sampled_velocities_are_derivatives(gait):
-    check_velocities(gait, atol=2e-4)
-
-
 @pytest.mark.parametrize("command", [c for c in COMMANDS if not any(c[1:])], ids=str)
 def test_straight_gaits_are_those_of_half_a_stride(gaits, command):
     """Up to the origin along the path."""
@@ -219,16 +206,6 @@ def test_gait_does_not_depend_on_the_initial_guess(gaits):
     alone = optimize_gait(command, parameters=P)
     np.testing.assert_allclose(alone.body.position, gaits[command].body.position, atol=1e-5)
     assert alone.cost == pytest.approx(gaits[command].cost, rel=1e-7)
-
-
-def test_sampled_turn_follows_the_gait_from_stride_to_stride(gaits):
-    gait = gaits[1.0, -0.4, 0.5]
-    sampled, phase = SampledMotion.from_motion(gait, 128), np.linspace(-1.2, 2.3, 200)
-    found, exact = sampled.sample(phase), gait.sample(phase)
-    np.testing.assert_allclose(found.body.position, exact.body.position, atol=1e-4)
-    np.testing.assert_allclose(found.feet.position, exact.feet.position, atol=1e-3)
-    np.testing.assert_allclose(found.heading.angle, exact.heading.angle, atol=1e-12)
-    np.testing.assert_allclose(found.foot_heading, exact.foot_heading, atol=2e-3)
 
 
 def test_gait_without_a_certificate_is_refused_with_its_command(gaits, monkeypatch):

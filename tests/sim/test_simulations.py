@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model, physics_timesteps
 from aslip.sim import Simulations
 from tests.helpers import motor_torque
-from tests.sim.batches import arrays, assert_rows_equal, random_targets
+from tests.sim.batches import assert_rows_equal, random_targets
 
 WEIGHT = CASSIE.total_mass * 9.81
 
@@ -160,75 +158,7 @@ def test_results_do_not_depend_on_the_number_of_threads() -> None:
     assert_rows_equal(one, many, list(range(5)))
 
 
-def test_torque_acts_after_exactly_six_substeps() -> None:
-    """The delay of 3 ms is in the model: a step of torque shows in the seventh substep."""
-    model = load_model()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    command = np.linspace(0.1, 0.8, 10)
-    forces = []
-    for _ in range(9):
-        data.ctrl = command
-        mujoco.mj_step(model, data)
-        forces.append(data.actuator_force.copy())
-    np.testing.assert_array_equal(forces[:6], 0.0)
-    np.testing.assert_array_equal(forces[6:], [command] * 3)
-
-
-def test_batched_simulations_have_the_delay() -> None:
-    """Targets of the last six substeps of a period act in the next one."""
-    simulations = Simulations(1, num_threads=1)
-    force = simulations.batch.bind("actuator_force")
-    seen: list[np.ndarray] = []
-    original = simulations.batch.step
-
-    def step(*args: Any, **kwargs: Any) -> None:
-        original(*args, **kwargs)
-        seen.append(force[0].copy())
-
-    simulations.batch.step = step
-    target = random_targets(1, 1)[0]
-    expected = motor_torque(
-        target[0], simulations.sensors.motor_position[0], simulations.sensors.motor_velocity[0]
-    )
-    simulations.advance(target)
-    assert len(seen) == CASSIE.substeps
-    np.testing.assert_array_equal(seen[:6], 0.0)
-    np.testing.assert_array_equal(seen[6], expected)
-
-
 # -------------------------------------------------------------- resets
-
-
-def test_reset_clears_all_memory() -> None:
-    """A reset simulation equals a new one in delayed commands, warm start and time."""
-    used, fresh = Simulations(2, num_threads=1), Simulations(2, num_threads=1)
-    for target in random_targets(2, 5, seed=3):
-        used.advance(target)
-    used.reset(np.arange(2))
-    assert_rows_equal(used, fresh, [0, 1])
-    for name in ("time", "qacc_warmstart"):
-        assert (used.batch.bind(name) == 0).all()
-    np.testing.assert_array_equal(used.states(), fresh.states())
-    for target in random_targets(2, 5, seed=4):
-        used.advance(target)
-        fresh.advance(target)
-        assert_rows_equal(used, fresh, [0, 1])
-
-
-def test_reset_does_not_affect_other_simulations() -> None:
-    touched, untouched = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
-    for k, target in enumerate(random_targets(3, 6)):
-        if k == 3:
-            before = arrays(touched)
-            touched.reset(np.array([1]))
-            after = arrays(touched)
-            for name in before:
-                np.testing.assert_array_equal(before[name][[0, 2]], after[name][[0, 2]])
-                assert not np.array_equal(before[name][1], after[name][1]), name
-        touched.advance(target)
-        untouched.advance(target)
-    assert_rows_equal(touched, untouched, [0, 2])
 
 
 def test_snapshot_shows_the_state_of_a_reset() -> None:

@@ -131,11 +131,6 @@ def test_impulses_grow_from_zero() -> None:
     torch.testing.assert_close(forces[1], forces[2] / 2)
 
 
-def test_nominal_values_are_those_of_the_shipped_model() -> None:
-    values = make(1).base_env._dynamics.nominal
-    assert {name: one.nominal for name, one in DYNAMICS.items()} == pytest.approx(dict(values))
-
-
 def test_workers_keep_their_own_difficulties() -> None:
     serial = SerialEnv(2, partial(make, 1))
     td, bad = serial.reset(), torch.zeros(2, 1, 10)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +17,6 @@ from aslip.sim import DYNAMICS
 from aslip.transforms import DYNAMICS_RANGES, RandomDynamics
 from tests.helpers import MakeEnv, differing
 
-BACKENDS = ("batch", "dm_control")
 Ranges = Mapping[str, tuple[float, float]]
 # all parameters, at their defaults
 NOMINAL: Ranges = {
@@ -145,17 +144,6 @@ def test_only_reset_robots_get_new_parameters(make: MakeEnv, library: GaitLibrar
     torch.testing.assert_close(held, last["dynamics", "mass"][~last["done"][:, 0], 0])
 
 
-def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> None:
-    """Also with different dynamics for each robot."""
-    ranges = {**DYNAMICS_RANGES, "payload": (0.0, 5.0), "torque_delay": (0.0, 0.01)}
-    rollouts = [
-        _rollout(make(backend, num_envs=2, stack=_stack(library, ranges)), 25)
-        for backend in BACKENDS
-    ]
-    assert rollouts[0]["next", "done"].any()
-    assert differing(*rollouts) == []
-
-
 def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> None:
     """A reset of all robots takes chosen values; later resets draw."""
     env = make(num_envs=2, stack=_stack(library, {"mass": (0.9, 1.1), "slope": (0.0, 0.0)}))
@@ -176,9 +164,8 @@ def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> 
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"mass": (1.2, 0.8)}, r"mass.*0\.2 to 5.*1\.2 to 0\.8"),
-        ({"floor_friction": (0.0, 1.0)}, r"floor_friction.*0\.01 to 5.*0\.0 to 1\.0"),
-        ({"torque_delay": (0.0, 0.1)}, r"torque_delay.*0 to 0\.03.*0\.0 to 0\.1"),
+        ({"mass": (1.2, 0.8)}, r"mass.*\(low, high\), got \(1\.2, 0\.8\)"),
+        ({"floor_friction": (0.0, 1.0)}, r"floor_friction.*0\.01 to 5, got 0\.0"),
         ({"sensor_noise": (math.nan, 1.0)}, r"sensor_noise.*nan"),
     ],
 )
@@ -223,21 +210,3 @@ def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> No
     assert errors[1.0].min() > 0
     torch.testing.assert_close(errors[2.0], 2 * errors[1.0], rtol=1e-3, atol=0)
     assert not errors[0.0].any()
-
-
-def test_a_partial_reset_draws_a_noise_factor(make: MakeEnv, library: GaitLibrary) -> None:
-    """Its error is the drawn factor times the error at a factor of one."""
-    packets = []
-    for drop, ranges in (((), (0.5, 50.0)), ((), (1.0, 1.0)), (("noise",), (0.5, 50.0))):
-        stack = _stack(library, {"sensor_noise": ranges})
-        env = make(num_envs=3, stack=stack, drop=drop)
-        td = env.reset()
-        td["_reset"] = torch.tensor([[False], [False], [True]])
-        td = env.reset(td)
-        packets.append(td["sensors", "accelerometer"])
-    factor = cast("torch.Tensor", td["dynamics", "sensor_noise"])
-    assert (factor[:2] - factor[2]).abs().min() > 1
-    noisy, nominal, clean = packets
-    torch.testing.assert_close(
-        noisy - clean, factor[..., None] * (nominal - clean), rtol=1e-3, atol=1e-3
-    )

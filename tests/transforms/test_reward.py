@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import default_stack, insert_before
+from aslip.envs import default_stack
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
@@ -62,20 +62,6 @@ def test_terms_can_be_left_out(make: MakeEnv) -> None:
     expected = sum(rewards.PAPER_WEIGHTS[key] * terms[key] for key in set(TERMS) - {name})
     torch.testing.assert_close(data["next", "reward"], expected)
     check_env_specs(env)
-
-
-def test_a_custom_term_is_added_to_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
-    near = RewardTerm(
-        "height", lambda height: (-(height - 1).abs()).exp(), [("estimate", "height")]
-    )
-    stack = insert_before(default_stack(library), "reward", height=near)
-    stack["reward"] = WeightedReward({**rewards.PAPER_WEIGHTS, "height": 0.5})
-    env = make(num_envs=2, stack=stack)
-    with_height = _step(env)["next"]
-    check_env_specs(env)
-    expected = 0.5 * (-(with_height["estimate", "height"] - 1).abs()).exp()
-    plain = _step(make(num_envs=2))["next", "reward"]
-    torch.testing.assert_close(with_height["reward"], plain + expected)
 
 
 # -------------------------------------------------------------------- misuse

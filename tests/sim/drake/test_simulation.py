@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.errors import ShapeError
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import Simulations, true_state
@@ -126,11 +125,6 @@ def test_a_robot_that_diverges_stands_again(drake: DrakeSimulation) -> None:
     assert drake.advance(np.full((1, 10), np.nan)).tolist() == [True]
     assert drake.divergences == before + 1
     assert drake.advance(STANDING).tolist() == [False]
-
-
-def test_targets_of_the_wrong_shape_are_refused(drake: DrakeSimulation) -> None:
-    with pytest.raises(ShapeError, match=r"motor_target must have shape \(1, 10\)"):
-        drake.advance(STANDING[0])
 
 
 def _velocity(drake: DrakeSimulation) -> np.ndarray:

@@ -102,29 +102,6 @@ def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None
             assert (error.abs() < most).all(), name
 
 
-def test_broken_sensor_is_reported_and_affects_one_robot_only(make: MakeEnv) -> None:
-    class Broken(SeededTransform):
-        """Put a NaN into one encoder of robot 1."""
-
-        def __init__(self) -> None:
-            super().__init__(in_keys=[("sensors", "joint_position")], out_keys=[])
-
-        def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-            next_tensordict["sensors", "joint_position"][1, 3:6, 2] = torch.nan
-            return next_tensordict
-
-    stack = default_stack(GaitLibrary.load())
-    settings = {"num_envs": 3, "seed": 3, "drop": JUDGES}
-    whole = _walk(make(stack=stack, **settings), 10)
-    broken = _walk(make(stack=insert_before(stack, "estimator", broken=Broken()), **settings), 10)
-    for ours, theirs in zip(whole, broken, strict=True):
-        assert torch.isfinite(theirs["observation"]).all()
-        assert torch.equal(ours["observation"][[0, 2]], theirs["observation"][[0, 2]])
-        assert not ours["estimator", "faults"].any()
-        assert not theirs["estimator", "faults"][[0, 2]].any()
-    assert broken[4]["estimator", "faults"][1].tolist() == [True, False, False, False]
-
-
 # ------------------------------------------------------------------------- rewards
 
 

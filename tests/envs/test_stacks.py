@@ -57,18 +57,6 @@ def test_drop_takes_a_single_name(make: MakeEnv) -> None:
     assert set(terms.keys()) == set(reward_terms()) - {"foot_orient"}
 
 
-def test_edits_of_one_environment_do_not_affect_another(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    stack = default_stack(library)
-    names = list(stack)
-    make(stack=stack, drop=["foot_orient"])
-    assert list(stack) == names
-    both = [make(stack=stack), make(stack=stack)]
-    for env in both:
-        assert set(env.observation_spec["reward_terms"].keys()) == set(reward_terms())
-
-
 def test_steps_and_resets_build_no_specs(
     make: MakeEnv, library: GaitLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:

