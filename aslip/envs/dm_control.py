@@ -47,7 +47,7 @@ _TARGET_MARGIN = 1.0
 
 
 class Walk(base.Task):
-    """Walk ahead at a given speed, upright, in any direction of the world.
+    """Walk forward at a given speed, upright, in any direction of the world.
 
     Args:
         speed: forward speed to keep [m/s].

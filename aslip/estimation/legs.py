@@ -8,7 +8,7 @@ plane is a complex number, a rotation is a factor :math:`e^{i\varphi}`, and the 
 of links :math:`c_j`; hip yaw and hip roll turn the plane in the pelvis. This form is
 cheap enough to evaluate at every sensor packet.
 
-Forces follow from the leaf springs by virtual work. With the motors held, a leg gives way in two
+Forces follow from the leaf springs by virtual work. With the motors held, a leg yields in two
 coordinates only: the shin spring :math:`s`, and the tarsus :math:`t`, which bends the heel spring
 :math:`h(s, t)` through the Achilles rod. A force :math:`F` on the foot balances both:
 

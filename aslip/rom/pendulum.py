@@ -27,6 +27,8 @@ from aslip.rom.slip import SlipParameters
 from aslip.rom.swing import swing_foot
 
 _MODEL = SlipParameters()
+# share of a footstep's duration for which the swing foot is in the air
+_SWING_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,7 @@ class PendulumWalk:
     differ only in the motion of the body over its feet.
 
     Raises:
-        ConfigurationError: a length, time or mass is not positive, the share is not in (0, 1], or
-            the speed is not finite.
+        ConfigurationError: a length, time or mass is not positive, or the speed is not finite.
     """
 
     speed: float = 0.75
@@ -53,14 +54,11 @@ class PendulumWalk:
     """Height of a foot at mid-swing [m]."""
     mass: float = _MODEL.mass
     """Mass of the body [kg], which the ground forces carry."""
-    swing_share: float = 0.8
-    """Share of a footstep's duration for which the swing foot is in the air."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
         for name in ("stride", "height", "width", "clearance", "mass"):
             check_number(name, getattr(self, name), TINY)
-        check_number("swing_share", self.swing_share, TINY, 1.0)
         check_number("speed", self.speed, what="in m/s")
 
     @property
@@ -129,7 +127,7 @@ class PendulumWalk:
                     (phase - begins) * self.stride,
                     first,
                     first + np.array([2 * length, 0, 0]),
-                    duration=self.swing_share * duration,
+                    duration=_SWING_SHARE * duration,
                     clearance=self.clearance,
                 )
             )
@@ -148,7 +146,7 @@ def pendulum_walks(gaits: Sequence[Gait], walk: PendulumWalk | None = None) -> l
 
     Args:
         gaits: gaits that give speeds, strides and heights.
-        walk: mass, width, clearance and share of swing of all walks; by default mass, width and
+        walk: mass, width and clearance of all walks; by default mass, width and
             clearance of each gait's model.
     """
     walks = []

@@ -54,7 +54,7 @@ class ReferenceInjection(SeededTransform):
         library: gaits.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         in_keys: keys of command (n, c) and phase (n, 1); to stand, too, also of mode (n, 1) and of
-            the wish to stand (n, 1), see `aslip.transforms.StandClock`.
+            the stand command (n, 1), see `aslip.transforms.StandClock`.
         out_keys: keys of reference and goal.
 
     Raises:
@@ -75,7 +75,7 @@ class ReferenceInjection(SeededTransform):
         if len(self.in_keys) not in (2, 4):
             raise ConfigurationError(
                 "in_keys of ReferenceInjection must be those of command and phase, and perhaps of"
-                f" mode and the wish to stand, got {self.in_keys}"
+                f" mode and the stand command, got {self.in_keys}"
             )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -142,11 +142,11 @@ def reference_and_goal(
         phases = torch.stack([phase + lead * CASSIE.policy_period / stride for lead in leads])
     else:
         mode, stand = standing
-        ahead = [
+        later = [
             advance_mode(library, phase, mode, command, stand, lead * CASSIE.policy_period)
             for lead in leads
         ]
-        phases, modes = (torch.stack(part) for part in zip(*ahead, strict=True))
+        phases, modes = (torch.stack(part) for part in zip(*later, strict=True))
     commands = command.expand(*phases.shape[:-1], command.shape[-1])
     found = library.lookup(phases, commands, modes)
     motors = leads.index(motor_lead)
@@ -225,8 +225,8 @@ class ReferenceDistance(SeededTransform):
         return self._written(next_tensordict, distance + CASSIE.policy_period * command)
 
     def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
-        now, ahead = self.out_keys
-        into.set(ahead, distance + CASSIE.policy_period * into[self.in_keys[0]])
+        now, following = self.out_keys
+        into.set(following, distance + CASSIE.policy_period * into[self.in_keys[0]])
         return into.set(now, distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -65,16 +65,16 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
     env, library = make(1), symmetric_library()
     td = start(env, [[0.8, 0.0, 0.0]], [0.3])
     assert torch.equal(td["filtered_command"], td["command"])
-    wish = torch.tensor([[0.2, 0.2, -0.8]])
-    td["command"] = wish
+    wanted = torch.tensor([[0.2, 0.2, -0.8]])
+    td["command"] = wanted
     filtered, phase = td["filtered_command"], td["phase"]
     for _ in range(8):
         goal = cast("TensorDictBase", td["goal"])
         td = step(env, td)
         # the clock runs with the command during the step
         phase = (phase + PERIOD / library.stride(filtered)) % 1
-        filtered = approach_command(filtered, wish, COMMAND_RATES)
-        assert torch.equal(td["command"], wish)
+        filtered = approach_command(filtered, wanted, COMMAND_RATES)
+        assert torch.equal(td["command"], wanted)
         assert torch.equal(td["filtered_command"], filtered)
         assert torch.equal(td["phase"], phase)
         found = library.lookup(phase, filtered)
@@ -90,7 +90,7 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
     env = make()
     command = torch.tensor([[0.8, 0.1, 0.8], [0.4, 0.0, -0.5]])
     td = start(env, command.tolist(), [0.1, 0.6])
-    heading, begun = td["heading"], td["true_odometry", "origin"]
+    heading, started = td["heading"], td["true_odometry", "origin"]
     for _ in range(20):
         td = step(env, td)
         heading = advance_heading(heading, command)
@@ -98,7 +98,7 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
         for group in ("true_odometry", "odometry"):
             place = cast("Tensor", td[group, "pelvis_position"])
             assert torch.equal(td[group, "path_error"], place[:, :2])
-    travelled = torch.linalg.vector_norm(td["true_odometry", "origin"] - begun, dim=-1)
+    travelled = torch.linalg.vector_norm(td["true_odometry", "origin"] - started, dim=-1)
     assert (travelled > 0.1).all()
     torch.testing.assert_close(
         td["odometry", "path_error"], td["true_odometry", "path_error"], atol=0.08, rtol=0
@@ -166,12 +166,12 @@ def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
     # contacts and the stiff loops amplify the pelvis' asymmetry most in accelerations
     slow = torch.ones(82, dtype=torch.bool)
     slow[8:14] = slow[24:34] = slow[40:46] = False
-    wish = torch.tensor([0.2, -0.1, -0.5])
+    wanted = torch.tensor([0.2, -0.1, -0.5])
     for i in range(4):
         image, other = mirror(td["observation"][1]), td["observation"][0]
         torch.testing.assert_close(image[slow], other[slow], atol=3e-3, rtol=0)
         if i == 1:
-            td["command"] = torch.stack([wish, wish * FLIP])
+            td["command"] = torch.stack([wanted, wanted * FLIP])
         action = 0.1 * torch.randn(10, generator=generator)
         td = step(env, td, torch.stack([action, mirror_action(action)]))
         for name, term in td["reward_terms"].items():
@@ -206,11 +206,11 @@ def test_the_stack_of_a_real_robot_turns_without_the_truth() -> None:
     td = env.reset(TensorDict(command=torch.tensor([[0.0, 0.0, 0.8]]), batch_size=1))
     before = td["estimate", "orientation"]
     td = step(env, td)
-    # the frame turned, the robot has hardly begun to
+    # the frame turned, the robot has hardly started to
     turned = float(td["estimate", "orientation"][0, 3] - before[0, 3])
     assert turned < -0.5 * 0.8 * PERIOD / 2
-    way = arc(torch.tensor([[0.0, 0.0, 0.8]]))
-    torch.testing.assert_close(td["odometry", "origin"], way, atol=1e-6, rtol=0)
+    displacement = arc(torch.tensor([[0.0, 0.0, 0.8]]))
+    torch.testing.assert_close(td["odometry", "origin"], displacement, atol=1e-6, rtol=0)
 
 
 def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
@@ -221,7 +221,7 @@ def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
     env.close()
 
 
-def test_an_evaluation_judges_standing_robots_by_standing() -> None:
+def test_an_evaluation_rewards_standing_robots_for_standing() -> None:
     """Its goal and rewards are those of the stack itself, through a stop."""
     library = standing_library()
     stack = standing_stack(library)

@@ -19,10 +19,10 @@ from aslip.transforms import (
 from tests.helpers import MakeEnv
 
 # transforms that may read the true state
-JUDGES = ["low_reward", "fall", "step_limit"]
+PRIVILEGED = ["low_reward", "fall", "step_limit"]
 
 
-class Liar(SeededTransform):
+class NoTruth(SeededTransform):
     """Replace all true quantities by NaN, except the heading that the estimator starts with."""
 
     def __init__(self) -> None:
@@ -54,26 +54,26 @@ def _walk(env: StackEnv, steps: int = 12) -> list[TensorDictBase]:
 
 def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[StackEnv]:
     stack = default_stack(library)
-    lying = insert_before(stack, "noise", liar=Liar())
-    settings = {"num_envs": 3, "seed": 4, "drop": JUDGES, **edit}
-    return [make(stack=stack, **settings), make(stack=lying, **settings)]
+    blind = insert_before(stack, "noise", no_truth=NoTruth())
+    settings = {"num_envs": 3, "seed": 4, "drop": PRIVILEGED, **edit}
+    return [make(stack=stack, **settings), make(stack=blind, **settings)]
 
 
 def test_observation_does_not_depend_on_the_true_state(make: MakeEnv, library: GaitLibrary) -> None:
     """Observations are bit-equal if all entries under `truth` are NaN."""
-    honest, lied_to = (_walk(env) for env in _envs(make, library))
-    for ours, theirs in zip(honest, lied_to, strict=True):
+    whole, unaware = (_walk(env) for env in _envs(make, library))
+    for ours, theirs in zip(whole, unaware, strict=True):
         assert not torch.isfinite(theirs["truth", "qpos"]).any()
         assert torch.equal(ours["observation"], theirs["observation"])
         assert torch.isfinite(ours["observation"]).all()
 
 
 def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLibrary) -> None:
-    """With `TrueState` the NaN of `Liar` reach the observation."""
+    """With `TrueState` the NaN of `NoTruth` reach the observation."""
     edit = {"replace": {"estimator": TrueState()}}
-    honest, lied_to = (_walk(env, 1) for env in _envs(make, library, **edit))
-    assert torch.isfinite(honest[0]["observation"]).all()
-    assert torch.isnan(lied_to[0]["observation"]).any()
+    whole, unaware = (_walk(env, 1) for env in _envs(make, library, **edit))
+    assert torch.isfinite(whole[0]["observation"]).all()
+    assert torch.isnan(unaware[0]["observation"]).any()
 
 
 # ----------------------------------------------------------------------- estimates
@@ -81,7 +81,7 @@ def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLib
 
 def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None:
     """After half a second of the shipped policy with noisy sensors."""
-    env = make(num_envs=4, seed=0, drop=JUDGES)
+    env = make(num_envs=4, seed=0, drop=PRIVILEGED)
     policy = aslip.load_policy("straight")
     speeds = torch.tensor([[0.0], [0.5], [1.0], [2.0]])
     start = {"command": speeds, "phase": torch.zeros(4, 1)}
@@ -107,17 +107,17 @@ def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None
 
 def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: GaitLibrary) -> None:
     """They equal the rewards on the truth up to the estimator's errors."""
-    envs = [make(num_envs=3, seed=4, drop=JUDGES, reward_on=on) for on in ("truth", "estimate")]
+    envs = [make(num_envs=3, seed=4, drop=PRIVILEGED, reward_on=on) for on in ("truth", "estimate")]
     check_env_specs(envs[1])
-    envs[1] = make(num_envs=3, seed=4, drop=JUDGES, reward_on="estimate")
+    envs[1] = make(num_envs=3, seed=4, drop=PRIVILEGED, reward_on="estimate")
     policy = aslip.load_policy("straight")
     with torch.no_grad():
         walks = [env.rollout(25, policy, break_when_any_done=False) for env in envs]
     seen, estimated = (walk["next", "reward"][:, 15:] for walk in walks)
     assert (seen - estimated).abs().mean() < 0.02
     assert not torch.equal(seen, estimated)
-    lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar())
-    lied_to = make(stack=lying, num_envs=3, seed=4, drop=[*JUDGES, "reward", "episode_sum"])
+    blind = insert_before(default_stack(library, "estimate"), "noise", no_truth=NoTruth())
+    unaware = make(stack=blind, num_envs=3, seed=4, drop=[*PRIVILEGED, "reward", "episode_sum"])
     # the sum is left out: it reads whether the simulation diverged
-    terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
+    terms = unaware.rollout(2, break_when_any_done=False)["next", "reward_terms"]
     assert all(torch.isfinite(term).all() for term in terms.values())

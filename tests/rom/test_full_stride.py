@@ -94,8 +94,10 @@ def test_integration_over_the_stride_ends_one_stride_further_along_the_arc(gait)
         forward * np.sin(angle) + sideways * np.cos(angle),
         0 * angle,
     ]
-    way = gait.stride / 2 * np.array(velocity) @ weight
-    np.testing.assert_allclose(state[:3], rotation @ gait.body.position[0] + way, atol=1e-4)
+    displacement = gait.stride / 2 * np.array(velocity) @ weight
+    np.testing.assert_allclose(
+        state[:3], rotation @ gait.body.position[0] + displacement, atol=1e-4
+    )
     np.testing.assert_allclose(state[3:6], rotation @ gait.body.velocity[0], atol=1e-3)
     np.testing.assert_allclose(state[6:], state_at(gait, 0)[6:], atol=1e-3)
 

@@ -21,7 +21,7 @@ from aslip.robot.model import load_model
 BACKENDS = ("batch", "dm_control")
 GRAVITY = 9.81
 # all parameters except the delay, each away from its default
-ODD = {
+OTHER = {
     "mass": 1.13,
     "payload": 3.0,
     "floor_friction": 0.41,
@@ -62,14 +62,14 @@ def _edit(change: Callable[[mujoco.MjModel], None]) -> DmControlEnv:
 
 
 def _by_hand(model: mujoco.MjModel) -> None:
-    model.body_mass[:] *= ODD["mass"]
-    model.body_inertia[:] *= ODD["mass"]
-    model.body_mass[model.body("pelvis").id] += ODD["payload"]
-    model.geom("floor").friction[0] = ODD["floor_friction"]
-    model.jnt_stiffness[:] *= ODD["spring_stiffness"]
-    model.dof_damping[:] *= ODD["joint_damping"]
-    model.dof_armature[:] *= ODD["reflected_inertia"]
-    model.actuator_gainprm[:, 0] *= ODD["motor_strength"]
+    model.body_mass[:] *= OTHER["mass"]
+    model.body_inertia[:] *= OTHER["mass"]
+    model.body_mass[model.body("pelvis").id] += OTHER["payload"]
+    model.geom("floor").friction[0] = OTHER["floor_friction"]
+    model.jnt_stiffness[:] *= OTHER["spring_stiffness"]
+    model.dof_damping[:] *= OTHER["joint_damping"]
+    model.dof_armature[:] *= OTHER["reflected_inertia"]
+    model.actuator_gainprm[:, 0] *= OTHER["motor_strength"]
     model.opt.gravity[:] = GRAVITY * np.array([-np.sin(0.07), 0, -np.cos(0.07)])
 
 
@@ -80,7 +80,7 @@ def _by_hand(model: mujoco.MjModel) -> None:
 def test_dynamics_equal_a_model_changed_by_hand(backend: str) -> None:
     """Results are bit-equal, and the other robot has the default dynamics."""
     env = _base(backend)
-    env.set_dynamics(ODD, np.array([1]))
+    env.set_dynamics(OTHER, np.array([1]))
     env.reset()
     path = _walk(env, 12)
     edited, default = _edit(_by_hand), DmControlEnv(1)
@@ -93,7 +93,7 @@ def test_dynamics_equal_a_model_changed_by_hand(backend: str) -> None:
 def test_nominal_values_restore_the_model(backend: str) -> None:
     env, default = _base(backend, 1), _base(backend, 1)
     nominal = {name: value[0] for name, value in default.dynamics.items()}
-    env.set_dynamics(ODD | {"torque_delay": 0.004})
+    env.set_dynamics(OTHER | {"torque_delay": 0.004})
     env.set_dynamics(nominal)
     env.reset()
     default.reset()
@@ -225,7 +225,7 @@ def test_oldest_command_fills_a_longer_memory() -> None:
 def test_states_resume_among_robots_of_the_same_dynamics(backend: str) -> None:
     env, other = _base(backend), _base(backend)
     for each in (env, other):
-        each.set_dynamics(ODD | {"torque_delay": [0.001, 0.012]})
+        each.set_dynamics(OTHER | {"torque_delay": [0.001, 0.012]})
         each.reset()
     _walk(env, 4)
     other.set_states(env.states())

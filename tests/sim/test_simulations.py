@@ -14,7 +14,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model, physics_timesteps
 from aslip.sim import Simulations
 from tests.helpers import motor_torque
-from tests.sim.batches import assert_rows_equal, random_targets
+from tests.sim.batches import random_targets
 
 WEIGHT = CASSIE.total_mass * 9.81
 
@@ -150,33 +150,7 @@ def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
         coarse.watch(0)
 
 
-def test_results_do_not_depend_on_the_number_of_threads() -> None:
-    one, many = Simulations(5, num_threads=1), Simulations(5, num_threads=2)
-    for target in random_targets(5, 6):
-        one.advance(target)
-        many.advance(target)
-    assert_rows_equal(one, many, list(range(5)))
-
-
 # -------------------------------------------------------------- resets
-
-
-def test_snapshot_shows_the_state_of_a_reset() -> None:
-    simulations = Simulations(3, num_threads=1)
-    qpos = np.stack([simulations.model.key("standing").qpos] * 2)
-    qpos[:, 0], qpos[:, 2] = [1.0, 2.0], [1.5, 1.6]
-    qvel = np.random.default_rng(0).uniform(-1, 1, (2, 32))
-    simulations.reset(np.array([0, 2]), qpos, qvel)
-    snapshot = simulations.snapshot()
-    np.testing.assert_array_equal(snapshot.qpos[[0, 2]], qpos)
-    np.testing.assert_array_equal(snapshot.qvel[[0, 2]], qvel)
-    standing = simulations.model.key("standing").qpos
-    np.testing.assert_array_equal(snapshot.qpos[1], standing)
-    # the feet have moved with the pelvis
-    moved = snapshot.site_xpos[[0, 2]] - snapshot.site_xpos[1]
-    np.testing.assert_allclose(
-        moved, np.stack([qpos[:, :3] - standing[:3]] * 3, axis=1), atol=1e-12
-    )
 
 
 # -------------------------------------------------------------- misuse

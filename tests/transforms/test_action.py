@@ -97,16 +97,3 @@ def test_the_last_action_is_the_previous_one_and_zero_after_a_reset(make: MakeEn
         td = env.step(td.set("action", action))["next"]
         torch.testing.assert_close(td["last_action"], action, rtol=0, atol=0)
     assert (env.reset()["last_action"] == 0).all()
-
-
-def test_the_first_action_is_compared_with_zero(make: MakeEnv) -> None:
-    """The last action at a reset is zero: no absolute angles, no action of the previous episode."""
-    env = make(num_envs=2, drop=["low_reward"])
-    td = env.reset()
-    td = env.step(td.set("action", torch.full((2, 10), 0.9)))["next"]
-    td = env.reset()
-    small = torch.zeros(2, 10)
-    small[:, 0] = 0.1
-    after = env.step(td.set("action", small))["next"]
-    term = after["reward_terms", "action_diff"]
-    torch.testing.assert_close(term, torch.full((2, 1), -0.1).exp())

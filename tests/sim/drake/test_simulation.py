@@ -104,21 +104,6 @@ def test_a_push_in_the_air_changes_the_momentum_by_force_times_time(
     np.testing.assert_allclose(_velocity(drake) - pushed, fall, atol=1e-4)
 
 
-def test_loops_stay_closed(drake: DrakeSimulation) -> None:
-    drake.reset()
-    drake.advance(STANDING)
-    plant, state = drake._plant, drake._state
-    for loop in CASSIE.skeleton.connections.values():
-        first, second = (
-            plant.GetBodyByName(body).EvalPoseInWorld(state).multiply(np.array(point))
-            for body, point in (
-                (loop.first, loop.first_point),
-                (loop.second, loop.second_point),
-            )
-        )
-        np.testing.assert_allclose(first, second, atol=1e-5)
-
-
 def test_a_robot_that_diverges_stands_again(drake: DrakeSimulation) -> None:
     drake.reset()
     before = drake.divergences
