@@ -11,7 +11,7 @@ from aslip.envs import StackEnv
 from aslip.training.environments import make_training_env
 from tests.helpers import MakeEnv
 
-LIMIT = 12
+LIMIT = 8
 
 
 def _env(num_envs: int = 24, seed: int = 0) -> StackEnv:

@@ -21,7 +21,7 @@ from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, Tru
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import evaluate, record_walks
 
-DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
+DEGREES = (0.0, 57.0, -172.0)
 ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]
 NUM = len(DEGREES)
 SPEED = 0.5
@@ -155,10 +155,10 @@ def _yaw(quaternion: Tensor) -> Tensor:
 def test_a_partial_reset_takes_the_true_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
     td = env.reset(_start(heading=torch.full((NUM, 1), 0.1)))
-    td["_reset"] = torch.tensor([[False], [True], [False], [True], [False]])
+    td["_reset"] = torch.tensor([[False], [True], [False]])
     td = env.reset(td)
     expected = torch.full((NUM, 1), 0.1)
-    expected[[1, 3]] = ANGLES.float()[[1, 3]]
+    expected[1] = ANGLES.float()[1]
     torch.testing.assert_close(td["heading"], expected, atol=1e-6, rtol=0)
 
 
