@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -83,7 +83,7 @@ def test_settings_are_numbers_in_their_ranges(library: GaitLibrary) -> None:
             make()
     for weights in ({}, ["a"]):
         with pytest.raises(ConfigurationError, match="weights must map names of terms to weights"):
-            WeightedReward(weights)
+            WeightedReward(cast("Any", weights))
 
 
 @pytest.mark.parametrize(
