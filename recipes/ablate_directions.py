@@ -172,7 +172,7 @@ def in_world_frame(library: GaitLibrary) -> Stack:
 def with_independent_gaits(library: GaitLibrary) -> Stack:
     """Stack whose reference is always a gait of the library, and jumps between them."""
     stack = insert_before(standing_stack(library), "clock", nearest_gait=NearestGait(library))
-    stack["clock"] = StandClock(library, in_keys=["gait_command", "stand", "estimate"])
+    stack["clock"] = StandClock(library, "gait_command")
     keys: list[NestedKey] = ["gait_command", "phase", "mode", "stand"]
     stack["reference"] = ReferenceInjection(library, in_keys=keys)
     return stack

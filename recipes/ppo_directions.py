@@ -167,20 +167,18 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
         stack["stand"] = StandCommand(config.stand, config.stand_interval)
     steps = config.schedule_steps or config.total_steps
     ramp = round(config.ramp * steps / config.num_envs)
-    scaled: dict[str, Any] = {"in_keys": ["difficulty"]} if ramp else {}
+    difficulty = "difficulty" if ramp else None
     share = config.randomise_share
     if ramp and (config.randomise or config.push_impulse):
         # after the dynamics, which read it
         stack = insert_before(stack, "command", difficulty=Difficulty(ramp))
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
-        stack["dynamics"] = RandomDynamics(WIDE_RANGES, share=share, **scaled)
-        readings = [("sensors", "motor_position"), *scaled.get("in_keys", [])]
-        largest = config.encoder_offset
-        offsets = EncoderOffsets(largest, share=share, in_keys=readings)
+        stack["dynamics"] = RandomDynamics(WIDE_RANGES, share=share, difficulty_key=difficulty)
+        offsets = EncoderOffsets(config.encoder_offset, share=share, difficulty_key=difficulty)
         stack = insert_before(stack, "estimator", encoders=offsets)
     if config.push_impulse:
-        pushes = RandomPushes(config.push_impulse, config.push_interval, **scaled)
+        pushes = RandomPushes(config.push_impulse, config.push_interval, difficulty_key=difficulty)
         stack = insert_before(stack, "command", pushes=pushes)
     if config.privileged:
         seen = AssembleObservation(privileged_table(drawn(config)), out_keys=[PRIVILEGED])

@@ -18,7 +18,7 @@ from aslip.robot.model import load_model
 from aslip.robot.opengl import make_renderer
 from tests.helpers import MakeEnv
 
-_UNCOMPILED = Path(__file__).parent / "rom" / "test_stride.py"
+_UNCOMPILED = Path(__file__).parent / "rom" / "test_full_stride.py"
 
 # no test gains from more threads
 torch.set_num_threads(1)

@@ -1,13 +1,41 @@
-"""Checks of arguments for simulations and environments: counts, robots and states."""
+"""Checks of arguments: numbers, counts, robots and states."""
 
 from __future__ import annotations
 
-from numbers import Integral
-from typing import Any
+import math
+from numbers import Integral, Real
+from typing import Any, Final
 
 import numpy as np
 
 from aslip.errors import ConfigurationError, ShapeError
+
+TINY: Final = float(np.finfo(np.float32).tiny)
+"""Least positive number of settings."""
+
+
+def check_number(
+    name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
+) -> float:
+    """Check that a setting is a finite number from `low` to `high`, and return it as a float.
+
+    Args:
+        name: name of the setting, for the message.
+        value: number to check.
+        low: least value.
+        high: greatest value.
+        what: meaning and unit, for the message.
+
+    Raises:
+        ConfigurationError: `value` is no such number.
+    """
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if real else math.nan
+    if not math.isfinite(number) or not low <= number <= high:
+        limits = "" if -low == high == math.inf else f" from {low:g} to {high:g}"
+        meaning = f" ({what})" if what else ""
+        raise ConfigurationError(f"{name} must be a finite number{limits}{meaning}, got {value!r}")
+    return number
 
 
 def check_count(name: str, value: Any, least: int = 1, most: int | None = None) -> int:

@@ -16,6 +16,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from aslip.base.checks import check_number
 from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.control.base import ControllerBase, Given
 from aslip.control.robot_frame import next_entries, start_entries
@@ -25,7 +26,6 @@ from aslip.estimation import StateEstimator, Tracking
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
-from aslip.transforms.base import check_number
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path

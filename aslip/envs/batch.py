@@ -44,7 +44,6 @@ class BatchEnv(SimulatedEnv):
         drive: MakeDrive = PD,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
-        num_threads = check_count("num_threads", num_threads, least=0)
         model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
         self._settings = {"num_threads": num_threads, "robot": robot, "drive": drive}
         self.simulations = SimulationPool(num_envs, model=model, **self._settings)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aslip.envs import RewardSource
 from aslip.envs.edit import Stack, insert_before
-from aslip.envs.straight import shipped_library, stack_of
+from aslip.envs.straight import shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -68,7 +68,7 @@ def directions_stack(
             f" rate, got one whose commands have {library.command_size} numbers"
         )
     stack = stack_of(library, VelocityCommand(library), reward_on) | {
-        "clock": PhaseClock(library, in_keys=[_STEER]),
+        "clock": PhaseClock(library, _STEER),
         "reference": ReferenceInjection(library, in_keys=[_STEER, "phase"]),
         "heading": HeadingFrame(command_key=_STEER),
         "estimator": EstimatedState(command_key=_STEER),
@@ -98,10 +98,7 @@ def _terms() -> Stack:
         rewards.landing: ([("truth", "largest_force")], []),
         rewards.squeeze: ([("truth", "ground_force")], []),
     }
-    return {
-        function.__name__: RewardTerm(function.__name__, function, *keys)
-        for function, keys in reads.items()
-    }
+    return terms_of(reads)
 
 
 def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:

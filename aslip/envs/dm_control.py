@@ -25,7 +25,7 @@ with warnings.catch_warnings():
     from dm_control.suite import base
     from dm_control.utils import rewards
 
-from aslip.base.checks import check_count, check_states
+from aslip.base.checks import check_count, check_number, check_states
 from aslip.envs.physics import BipedPhysics
 from aslip.envs.simulated_env import SimulatedEnv
 from aslip.errors import ConfigurationError
@@ -47,7 +47,7 @@ _TARGET_MARGIN = 1.0
 
 
 class Walk(base.Task):
-    """Walk ahead at a given speed, upright, in any direction of the world.
+    """Walk forward at a given speed, upright, in any direction of the world.
 
     Args:
         speed: forward speed to keep [m/s].
@@ -62,10 +62,8 @@ class Walk(base.Task):
         terminate_on_fall: bool = True,
         random: np.random.RandomState | int | None = None,
     ) -> None:
-        if not np.isfinite(speed):
-            raise ConfigurationError(f"speed must be a finite number of m/s, got {speed!r}")
         super().__init__(random=random)
-        self._speed = speed
+        self._speed = check_number("speed", speed, what="in m/s")
         self._terminate_on_fall = terminate_on_fall
 
     def action_spec(self, physics: BipedPhysics) -> specs.BoundedArray:

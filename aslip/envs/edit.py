@@ -10,7 +10,13 @@ from collections.abc import Iterable, Mapping
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.transforms import DYNAMICS_RANGES, RandomDynamics
+from aslip.transforms import (
+    DYNAMICS_RANGES,
+    EncoderOffsets,
+    RandomDynamics,
+    RandomPushes,
+    ReferenceStart,
+)
 
 Stack = dict[str, Transform]
 """Name -> transform, first to last; each environment gets copies of them."""
@@ -76,3 +82,10 @@ def randomise_stack(
         UnknownNameError: the stack has no transform `start`.
     """
     return insert_before(stack, "start", dynamics=RandomDynamics(ranges))
+
+
+def needs_simulation(transform: Transform) -> bool:
+    """True for a transform that reads the truth, or changes the state or the simulated robot."""
+    groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
+    chooses = isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets | RandomPushes)
+    return chooses or bool(groups & {"truth", "true_odometry"})

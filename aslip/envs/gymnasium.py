@@ -32,7 +32,7 @@ from aslip.base.checks import check_count
 from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.envs.make import make_env
 from aslip.envs.stack_env import StackEnv, check_seed
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
 from aslip.robot.opengl import make_renderer
@@ -130,12 +130,11 @@ class GymVectorEnv(VectorEnv):
             `AutoresetMode`. "SameStep": in that step; observation and `info` are the first of the
             new episode, `info["final_obs"]` and `info["final_info"]` the last of the old one.
             "NextStep", which Gymnasium's `NormalizeObservation` needs: in the next step, which
-            ignores the robot's action, with reward 0. "Disabled": by
-            `reset(options={"reset_mask": ended})`.
+            ignores the robot's action, with reward 0. "Disabled" is not supported.
         settings: arguments of `make_env`; without `seed` each environment draws its own.
 
     Raises:
-        ConfigurationError: Gymnasium has no such mode, or `make_env` refuses a setting.
+        ConfigurationError: the mode is not supported, or `make_env` refuses a setting.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -151,8 +150,9 @@ class GymVectorEnv(VectorEnv):
         **settings: Any,
     ) -> None:
         _check_render_mode(settings.pop("render_mode", None), self.metadata)
-        modes = [mode.value for mode in AutoresetMode]
-        if autoreset_mode not in (*AutoresetMode, *modes):
+        supported = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
+        modes = [mode.value for mode in supported]
+        if autoreset_mode not in (*supported, *modes):
             raise ConfigurationError(
                 f"autoreset_mode must be one of {modes}, got {autoreset_mode!r}"
             )
@@ -175,36 +175,12 @@ class GymVectorEnv(VectorEnv):
 
         Args:
             seed: seed of all random numbers from now on.
-            options: as in `GymEnv.reset`; and `reset_mask` (n,) bool of the robots to reset, whose
-                new episodes have random values.
-
-        Raises:
-            ConfigurationError: the mask resets no robot, comes before the first reset or with
-                another option.
-            ShapeError: the mask is not (n,) bool.
+            options: as in `GymEnv.reset`.
         """
         super().reset(seed=None if seed is None else check_seed(seed))
-        options = dict(options or {})
-        mask = options.pop("reset_mask", None)
-        if mask is None:
-            self._state = _reset(self.env, seed, options)
-        else:
-            self._check_mask(mask, options)
-            if seed is not None:
-                self.env.set_seed(seed)
-            self._state = self._restarted(self._state, mask)
-        self._ended = np.zeros_like(self._ended) if mask is None else self._ended & ~mask
+        self._state = _reset(self.env, seed, options)
+        self._ended = np.zeros_like(self._ended)
         return _observation(self._state), _info(self._state)
-
-    def _check_mask(self, mask: np.ndarray, others: Info) -> None:
-        found = getattr(mask, "dtype", type(mask)), getattr(mask, "shape", None)
-        if found != (np.dtype(bool), (self.num_envs,)):
-            raise ShapeError(f"reset_mask must be ({self.num_envs},) bool, got {found}")
-        if not mask.any() or others or self._state.is_empty():
-            raise ConfigurationError(
-                "reset_mask must reset a robot, after a first reset of all robots and without"
-                f" further options, got {mask.sum()} robots and {list(others)}"
-            )
 
     def _restarted(self, state: TensorDictBase, robots: np.ndarray) -> TensorDictBase:
         """State in which some robots (n,) begin a new episode."""
@@ -213,15 +189,9 @@ class GymVectorEnv(VectorEnv):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Run one policy step, 30 ms, of every robot.
-
-        Raises:
-            gymnasium.error.ResetNeeded: an episode has ended, and `autoreset_mode` is "Disabled".
-        """
+        """Run one policy step, 30 ms, of every robot."""
         mode, due = self.metadata["autoreset_mode"], self._ended
         if due.any():
-            if mode == AutoresetMode.DISABLED:
-                raise gymnasium.error.ResetNeeded(f"reset robots {np.flatnonzero(due)} before step")
             # the batch steps all robots; what the ended ones do is lost
             actions = np.where(due[:, None], np.float32(0), actions)
         after = self.env.step(_act(self._state, actions))
@@ -233,7 +203,7 @@ class GymVectorEnv(VectorEnv):
                 np.where(due, 0, x).astype(x.dtype) for x in (reward, terminated, truncated)
             )
         ended = terminated | truncated
-        if mode != AutoresetMode.SAME_STEP:
+        if mode == AutoresetMode.NEXT_STEP:
             self._ended = ended
         elif ended.any():
             self._state = self._restarted(self._state, ended)

@@ -17,12 +17,12 @@ with warnings.catch_warnings():
 from aslip.base.assets import asset_path
 from aslip.base.checks import check_states
 from aslip.errors import ShapeError
-from aslip.robot import CASSIE, SIDES, Side
+from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, limit_warnings, set_floor_friction
-from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
+from aslip.robot.rotation import rotate_inverse
 from aslip.sim import PD, Drive, MakeDrive, Sensors, Snapshot
 from aslip.sim.simulations import watched_size
-from aslip.sim.truth import positive_power, true_state
+from aslip.sim.truth import PeriodLoads, true_state
 
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
@@ -49,6 +49,7 @@ class BipedPhysics(mujoco.Physics):
     def _reload_from_data(self, data: MjData) -> None:
         """Set up indices and drive; dm_control calls this from every constructor."""
         self.indices = CASSIE.indices
+        self._loads = PeriodLoads(1, self.indices)
         self.drive: Drive = PD(1)
         """Low level between the control signal and the motors."""
         self.sensors = Sensors(1, data.model.ptr)
@@ -63,9 +64,7 @@ class BipedPhysics(mujoco.Physics):
         other = super().copy(share_model)
         # dm_control copies MuJoCo's data only
         other._motor_target = self._motor_target.copy()
-        other._ground_force = self._ground_force.copy()
-        other._motor_power = self._motor_power.copy()
-        other._largest_force = self._largest_force.copy()
+        other._loads = deepcopy(self._loads)
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
         other.drive = deepcopy(self.drive)
         return other
@@ -104,9 +103,7 @@ class BipedPhysics(mujoco.Physics):
         Raises:
             PhysicsError: the simulation diverged.
         """
-        self._ground_force = np.zeros_like(self._ground_force)
-        self._motor_power = np.zeros_like(self._motor_power)
-        self._largest_force = np.zeros_like(self._largest_force)
+        self._loads.clear()
         sensors = self.sensors
         for _ in range(nstep):
             # the PD loop uses the readings of the previous step
@@ -127,13 +124,8 @@ class BipedPhysics(mujoco.Physics):
             if self._substep == 0:
                 sensors.finish()
             force = self.data.sensordata[self.indices.ground_force]
-            self._ground_force += force
-            np.maximum(self._largest_force, force[:, 2], out=self._largest_force)
-            self._motor_power += positive_power(
-                self.data.qfrc_actuator, self.data.qvel, self.indices
-            )
-        self._ground_force /= nstep
-        self._motor_power /= nstep
+            self._loads.add(force[None], self.data.qfrc_actuator[None], self.data.qvel[None])
+        self._loads.average(nstep)
 
     def stand(self) -> None:
         """Set the standing keyframe; call inside `reset_context`."""
@@ -143,9 +135,7 @@ class BipedPhysics(mujoco.Physics):
         """Recompute all quantities that follow from the state."""
         super().after_reset()
         self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
-        self._ground_force = self.data.sensordata[self.indices.ground_force]
-        self._largest_force = self._ground_force[:, 2].copy()
-        self._motor_power = np.zeros(len(self.indices.motor_qvel))
+        self._loads.reset(slice(None), self.data.sensordata[self.indices.ground_force][None])
         state = (self.data.qpos, self.data.qvel, self.data.qacc)
         self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
         self._substep = 0
@@ -161,10 +151,10 @@ class BipedPhysics(mujoco.Physics):
             np.array(self.data.site_xpos),
             np.array(self.data.site_xmat),
             np.array(self.data.sensordata),
-            self._ground_force.copy(),
+            self._loads.ground_force[0].copy(),
             np.array(self.data.qfrc_actuator),
-            self._motor_power.copy(),
-            self._largest_force.copy(),
+            self._loads.motor_power[0].copy(),
+            self._loads.largest_force[0].copy(),
         )
 
     def full_state(self) -> np.ndarray:
@@ -214,23 +204,6 @@ class BipedPhysics(mujoco.Physics):
         """Angles of the ten driven joints, (10,) [rad]."""
         return np.array(self.data.qpos[self.indices.motor_qpos])
 
-    def motor_velocity(self) -> np.ndarray:
-        """Velocities of the ten driven joints, (10,) [rad/s]."""
-        return np.array(self.data.qvel[self.indices.motor_qvel])
-
     def motor_range(self) -> np.ndarray:
         """Limits of the ten driven joints, (10, 2) [rad]."""
         return np.stack([self.named.model.jnt_range[name] for name in CASSIE.motor_names])
-
-    def foot_position(self, side: Side) -> np.ndarray:
-        """Sole centre in the world, (3,) [m]."""
-        return np.array(self.data.site_xpos[self.indices.foot_site[SIDES.index(side)]])
-
-    def foot_orientation(self, side: Side) -> np.ndarray:
-        """Sole-to-world rotation (4,) wxyz; identity if the sole is level with the toes along x."""
-        site = self.indices.foot_site[SIDES.index(side)]
-        return matrix_to_quaternion(np.array(self.data.site_xmat[site]).reshape(3, 3))
-
-    def ground_force(self, side: Side) -> np.ndarray:
-        """Force of the floor on one foot, mean over the last call of `step`, (3,) [N, world]."""
-        return self._ground_force[SIDES.index(side)].copy()

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -129,11 +129,8 @@ class RobotEnv(EnvBase):
         Raises:
             ShapeError: `motor_target` has the wrong shape.
         """
-        target = cast("Tensor", tensordict["motor_target"])
         expected = (*self.batch_size, self.command_size)
-        if target.shape != expected:
-            raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
-        return target.detach().double().numpy()
+        return checked_entry("motor_target", tensordict["motor_target"], expected, finite=False)
 
     def _result(self, stopped: np.ndarray) -> TensorDict:
         """Entries after a step."""
@@ -181,6 +178,22 @@ class RobotEnv(EnvBase):
             " ParallelEnv, EnvCreator and collectors a function that makes it, such as"
             f" functools.partial(aslip.make_env, num_envs={self.batch_size.numel()})"
         )
+
+
+def checked_entry(
+    name: str, value: Any, expected: tuple[int, ...], *, finite: bool = True
+) -> np.ndarray:
+    """Entry of a tensordict in double precision.
+
+    Raises:
+        ShapeError: the entry has another shape than `expected`.
+        ConfigurationError: a number is not finite, if `finite` is true.
+    """
+    if tuple(value.shape) != expected:
+        raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
+    if finite and not torch.isfinite(value).all():
+        raise ConfigurationError(f"{name} must be finite, got {value.tolist()}")
+    return value.detach().double().numpy()
 
 
 def _refuse_requests(tensordict: TensorDictBase | None, keys: Sequence[str]) -> None:

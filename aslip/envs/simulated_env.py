@@ -39,8 +39,8 @@ from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
 from aslip.base.checks import check_ids
 from aslip.base.decorators import on_cpu_in_single
-from aslip.envs.robot_env import RobotEnv
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.envs.robot_env import RobotEnv, checked_entry
+from aslip.errors import ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
 from aslip.sim.dynamics import longest_delay, with_memory_of
@@ -205,7 +205,9 @@ class SimulatedEnv(RobotEnv):
     @on_cpu_in_single
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         target, push = self._checked_target(tensordict), tensordict.get("push", None)
-        diverged = self._advance(target, None if push is None else self._checked_push(push))
+        if push is not None:
+            push = checked_entry("push", push, (*self.batch_size, 3))
+        diverged = self._advance(target, push)
         self.divergences += int(diverged.sum())
         return self._result(diverged)
 
@@ -220,39 +222,11 @@ class SimulatedEnv(RobotEnv):
                 raise UnknownNameError.among("initial state", name, _DOUBLE)
             for i, name in enumerate(_DOUBLE):
                 if name in start:
-                    initial[i] = self._checked_initial(name, start[name])[rows]
+                    expected = tuple(self.observation_spec["truth", name].shape)
+                    initial[i] = checked_entry(f"initial {name}", start[name], expected)[rows]
             self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
         self._restart(rows, *initial)
         return self._start()
-
-    def _checked_push(self, push: Tensor) -> np.ndarray:
-        """(n, 3) forces on the pelvis in double precision.
-
-        Raises:
-            ShapeError: `push` has the wrong shape.
-            ConfigurationError: a force is not finite.
-        """
-        expected = (*self.batch_size, 3)
-        if tuple(push.shape) != expected:
-            raise ShapeError(f"push must have shape {expected}, got {tuple(push.shape)}")
-        if not torch.isfinite(push).all():
-            raise ConfigurationError(f"push must be finite, got {push.tolist()}")
-        return push.detach().double().numpy()
-
-    def _checked_initial(self, name: str, value: Tensor) -> np.ndarray:
-        """Initial `qpos` or `qvel` of all robots in double precision.
-
-        Raises:
-            ShapeError: the value has the wrong shape.
-            ConfigurationError: a number is not finite.
-        """
-        expected = tuple(self.observation_spec["truth", name].shape)
-        if tuple(value.shape) != expected:
-            raise ShapeError(f"initial {name} must have shape {expected}, got {tuple(value.shape)}")
-        if not torch.isfinite(value).all():
-            row = int((~torch.isfinite(value)).any(-1).nonzero()[0])
-            raise ConfigurationError(f"initial {name} of robot {row} is not finite")
-        return value.double().numpy()
 
     def _requested_dynamics(self, tensordict: TensorDictBase, rows: np.ndarray) -> dict[str, Any]:
         """Parameter -> values (k,) of a reset request.
@@ -261,12 +235,10 @@ class SimulatedEnv(RobotEnv):
             ShapeError: values have the wrong shape.
         """
         expected = (*self.batch_size, 1)
-        values = {}
-        for name, value in reset_request(tensordict, "dynamics").items():
-            if tuple(value.shape) != expected:
-                raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
-            values[name] = value.detach().numpy()[rows, 0]
-        return values
+        return {
+            name: checked_entry(name, value, expected, finite=False)[rows, 0]
+            for name, value in reset_request(tensordict, "dynamics").items()
+        }
 
     def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
         return {**super()._observation(stopped), "truth": self._truth(stopped)}

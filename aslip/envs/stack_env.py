@@ -21,19 +21,17 @@ from torchrl.envs.transforms import (
 
 from aslip.base.checks import check_count
 from aslip.base.decorators import on_cpu_in_single
+from aslip.envs.edit import needs_simulation
 from aslip.envs.robot_env import RobotEnv
 from aslip.envs.simulated_env import SimulatedEnv, reset_request
 from aslip.errors import ConfigurationError
 from aslip.transforms import (
     ActionDelta,
-    EncoderOffsets,
     EpisodeSum,
     EstimatedState,
     LastAction,
     LowReward,
     ObservationNoise,
-    RandomDynamics,
-    ReferenceStart,
     RewardTerm,
     SeededTransform,
     WeightedReward,
@@ -142,6 +140,10 @@ class StackEnv(TransformedEnv):
         request = tensordict.select(
             *self.reset_keys, *state_keys, *_chosen(tensordict), strict=False
         )
+        if "_reset" in request and self._latest is not None:
+            # requests of collectors have nothing but the mask
+            lacking = [key for key in state_keys if key not in request]
+            request.update(self._latest.select(*lacking, strict=False))
         request = cast("TensorDictBase", self.transform._reset_env_preprocess(request))
         started = self.base_env._reset(request)
         self.base_env._complete_done(self.base_env.full_done_spec, started)
@@ -264,58 +266,49 @@ def check_wiring(env: StackEnv) -> None:
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
     available.update(env.full_done_spec)
-    summed = rewarded = sensed = False
-    ever_rewarded = any("reward" in transform.out_keys for transform in env.transforms)
-    for name, transform in zip(env.transform_names, env.transforms, strict=True):
-        if isinstance(transform, RewardTerm) and summed:
-            raise ConfigurationError(
-                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum, which would"
-                ' miss it; insert it with insert_before(stack, "reward", ...)'
-            )
-        if getattr(transform, "must_be_last", False) and transform is not env.transforms[-1]:
-            raise ConfigurationError(
-                f"{name!r} must be the last transform, or its log misses the entries of later ones;"
-                f" the last transform is {env.transform_names[-1]!r}"
-            )
-        # without any reward the sums are zero, which is right, but LowReward would end all episodes
-        reads = isinstance(transform, LowReward) or (
-            isinstance(transform, EpisodeSum | RewardSum) and ever_rewarded
-        )
-        if reads and not rewarded:
-            raise ConfigurationError(
-                f"{name!r} reads a reward that no transform before it writes; drop it, too"
-            )
-        if isinstance(transform, ObservationNoise) and sensed:
-            raise ConfigurationError(
-                f"{name!r} comes after the estimator and would have no effect; insert it with"
-                ' insert_before(stack, "estimator", ...)'
-            )
-        summed |= isinstance(transform, WeightedReward)
-        rewarded |= "reward" in transform.out_keys
-        sensed |= isinstance(transform, EstimatedState)
+    for i, (name, transform) in enumerate(zip(env.transform_names, env.transforms, strict=True)):
+        if problem := _misplaced(transform, env.transforms[:i], env.transforms):
+            raise ConfigurationError(f"{name!r} {problem}")
         if isinstance(transform, RewardTerm | ActionDelta | LastAction):
             require_keys(transform, available, transform.in_keys)
+
+
+def _misplaced(transform: Transform, before: list[Transform], stack: list[Transform]) -> str:
+    """What is wrong with the place of a transform in a stack; empty if nothing is."""
+
+    def has(some: list[Transform], kind: type[Transform]) -> bool:
+        return any(isinstance(one, kind) for one in some)
+
+    def rewarded(some: list[Transform]) -> bool:
+        return any("reward" in one.out_keys for one in some)
+
+    if isinstance(transform, RewardTerm) and has(before, WeightedReward):
+        return 'comes after the sum; insert it with insert_before(stack, "reward", ...)'
+    if getattr(transform, "must_be_last", False) and transform is not stack[-1]:
+        return "must be the last transform, or its log misses the entries of later ones"
+    # without any reward the sums are zero, which is right, but LowReward would end all episodes
+    sums = isinstance(transform, EpisodeSum | RewardSum) and rewarded(stack)
+    if (sums or isinstance(transform, LowReward)) and not rewarded(before):
+        return "reads a reward that no transform before it writes; drop it, too"
+    if isinstance(transform, ObservationNoise) and has(before, EstimatedState):
+        return (
+            "comes after the estimator and would have no effect; insert it with"
+            ' insert_before(stack, "estimator", ...)'
+        )
+    return ""
 
 
 def _check_simulation(env: StackEnv) -> None:
     """Refuse transforms that need a simulated robot around one that is not.
 
     Raises:
-        ConfigurationError: a transform reads the truth, or chooses initial states or dynamics.
+        ConfigurationError: a transform needs a simulation, see `needs_simulation`.
     """
-    if isinstance(env.base_env, SimulatedEnv):
+    if isinstance(env.base_env, SimulatedEnv) or "truth" in env.base_env.observation_spec:
         return
-    entries = set(env.base_env.observation_spec.keys(True, True))
     for name, transform in zip(env.transform_names, env.transforms, strict=True):
-        truth = [key for key in transform.in_keys if key[0] == "truth" and key not in entries]
-        if truth:
-            lacks = f"reads {truth[0]!r}"
-        elif isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets):
-            lacks = "chooses the initial state, the dynamics or offsets of encoders"
-        else:
-            continue
-        raise ConfigurationError(
-            f"{name!r} ({type(transform).__name__}) {lacks}, which"
-            f" {type(env.base_env).__name__} does not have; stack=robot_stack() has no transforms"
-            " that need a simulation"
-        )
+        if needs_simulation(transform):
+            raise ConfigurationError(
+                f"{name!r} ({type(transform).__name__}) needs a simulated robot, which"
+                f" {type(env.base_env).__name__} is not; stack=robot_stack() has no such transforms"
+            )

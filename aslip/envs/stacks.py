@@ -6,27 +6,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from torchrl.envs.transforms import Transform
-
 from aslip.envs.directions import directions_stack, standing_stack
-from aslip.envs.edit import Stack, require_names
-from aslip.envs.straight import (
-    default_stack,
-    paper_stack,
-    shipped_library,
-    single_reference_stack,
-)
+from aslip.envs.edit import Stack, needs_simulation, require_names
+from aslip.envs.straight import default_stack, paper_stack, shipped_library, single_reference_stack
 from aslip.library import GaitLibrary
-from aslip.transforms import (
-    EncoderOffsets,
-    ObservationNoise,
-    RandomDynamics,
-    RandomPushes,
-    ReferenceInjection,
-    ReferenceStart,
-    RewardTerm,
-    TrueState,
-)
+from aslip.transforms import ObservationNoise, ReferenceInjection, RewardTerm, TrueState
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
 
 EPISODE_ENDS: Final = ("low_reward", "step_limit")
@@ -71,13 +55,6 @@ def robot_stack(stack: Stack | None = None) -> Stack:
     }
 
 
-def needs_simulation(transform: Transform) -> bool:
-    """True for a transform that reads the truth, or changes the state or the simulated robot."""
-    groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
-    chooses = isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets | RandomPushes)
-    return chooses or bool(groups & {"truth", "true_odometry"})
-
-
 def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
@@ -106,10 +83,10 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         for name, transform in stack.items()
         if name not in trained | {*evaluation} and not isinstance(transform, RewardTerm)
     }
-    judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
+    compared: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:
         seen["command"] = common["command"]
-        judging["in_keys"] = ["filtered_command", "phase"]
-        judging["in_keys"] += ["mode", "stand"] if "stand" in stack else []
-    goal = ReferenceInjection(library or shipped_library("gaits"), **judging)
+        compared["in_keys"] = ["filtered_command", "phase"]
+        compared["in_keys"] += ["mode", "stand"] if "stand" in stack else []
+    goal = ReferenceInjection(library or shipped_library("gaits"), **compared)
     return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}

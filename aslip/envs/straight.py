@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.envs.transforms import StepCounter
 
 from aslip.envs import RewardSource
@@ -71,12 +72,19 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
         rewards.straight_diff: (body("pelvis_position"), ()),
         rewards.foot_orient: (body("left_foot_orientation", "right_foot_orientation"), ()),
     }
-    terms: Stack = {
+    return terms_of({**reads, rewards.action_diff: ((), ("action", "last_action"))})
+
+
+def terms_of(reads: Mapping[Callable[..., Tensor], Sequence[Sequence[NestedKey]]]) -> Stack:
+    """Reward terms by the names of their functions.
+
+    Args:
+        reads: function -> entries after and before the step that it reads, see `RewardTerm`.
+    """
+    return {
         function.__name__: RewardTerm(function.__name__, function, *keys)
         for function, keys in reads.items()
     }
-    actions = ["action", "last_action"]
-    return terms | {"action_diff": RewardTerm("action_diff", rewards.action_diff, [], actions)}
 
 
 def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
@@ -152,36 +160,23 @@ def single_reference_stack(
     library = shipped_library("single_reference") if library is None else library
     source = REWARD_SOURCES[reward_on]
     feet = ("left_foot_velocity", "right_foot_velocity")
-    terms: Stack = {
-        "joints": RewardTerm(
-            "joints",
-            single_reference.joints,
-            [("truth", "qpos")],
-            # motor angles of the reference are one policy step ahead
-            root_keys=[("reference", "motor_position")],
-        ),
-        "pelvis": RewardTerm(
-            "pelvis",
-            single_reference.pelvis,
+    own = single_reference
+    reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
+        # motor angles of the reference are one policy step ahead
+        own.joints: ([("truth", "qpos")], [("reference", "motor_position")]),
+        own.pelvis: (
             [(source, "pelvis_position")],
-            root_keys=[("goal", "body_position"), ("goal", "distance")],
+            [("goal", "body_position"), ("goal", "distance")],
         ),
-        "upright": RewardTerm(
-            "upright", single_reference.upright, [(source, "pelvis_orientation")]
-        ),
-        "springs": RewardTerm(
-            "springs",
-            single_reference.springs,
-            [("truth", "qpos")],
-            root_keys=[("goal", foot) for foot in feet],
-        ),
+        own.upright: ([(source, "pelvis_orientation")], []),
+        own.springs: ([("truth", "qpos")], [("goal", foot) for foot in feet]),
     }
     stack: Stack = {}
     for name, transform in paper_stack(library, reward_on).items():
         if name == "observation":
             stack |= {"clock_input": ClockInput(), "reference_distance": ReferenceDistance()}
         if name == "reward":
-            stack |= terms
+            stack |= terms_of(reads)
         if name not in PAPER_WEIGHTS:
             stack[name] = transform
     stack["observation"] = AssembleObservation(SINGLE_REFERENCE_TABLE)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation.filter import TUNED_PERIOD, ContactFilter, FilterNoise, Motion, P, V
+from aslip.estimation.filter import ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
 from aslip.estimation.state import Estimate, Tracking
@@ -49,32 +49,20 @@ class StateEstimator:
 
     Args:
         robot: robot that sends the packets; `LegKinematics` must support its legs.
-        period: time between packets [s], the robot's by default; it does not change the noise.
         noise: noise that the filter assumes.
-
-    Raises:
-        ConfigurationError: `period` is not between 0 and 1 s.
     """
 
-    def __init__(
-        self,
-        robot: Robot = CASSIE,
-        *,
-        period: float | None = None,
-        noise: FilterNoise | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot = CASSIE, noise: FilterNoise | None = None) -> None:
         self.robot = robot
         """Robot that sends the packets."""
-        self.period = robot.packet_period if period is None else period
-        """Time between packets [s]."""
-        if not 0 < self.period < 1:
-            raise ConfigurationError(f"period must be between 0 and 1 s, got {period!r}")
         self._at = robot.packet_slices
-        self._screen = Screen(self.period, robot)
-        self._doubt = _DOUBT * (TUNED_PERIOD / self.period) ** 0.5
+        self._screen = Screen(robot)
         self._legs = LegKinematics(robot)
         self._filter = ContactFilter(
-            self.period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
+            robot.packet_period,
+            self._legs.sole_radius,
+            self._legs.half_length,
+            noise or FilterNoise(),
         )
         self._imu = np.array(robot.skeleton.sites[robot.imu_site].position)
         # alpha x imu = alpha @ arm
@@ -110,14 +98,17 @@ class StateEstimator:
         blind.repeats -= np.inf
         screened = self._screen(rows, blind)
         memory = PacketMemory.of(blind.reading)
-        motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
-        belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
-        ahead = (
-            yaw(memory.reading[:, self._at["orientation"]])
-            if heading is None
-            else _headings(heading, num)
+        good = {name: np.ones_like(getattr(screened, name)) for name in ("legs", "imu", "age")}
+        motions, geometry = self._interpret(
+            memory.reading, np.zeros((num, 3)), screened._replace(**good)
         )
-        tracking = Tracking(belief, memory, geometry.angular_acceleration, ahead)
+        belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
+        if heading is None:
+            heading = yaw(memory.reading[:, self._at["orientation"]])
+        headings = np.broadcast_to(np.asarray(heading, dtype=np.float64).reshape(-1), (num,))
+        if not np.isfinite(headings).all():
+            raise ConfigurationError(f"heading must be finite, got {headings.tolist()}")
+        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings.copy())
         nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 
@@ -165,7 +156,9 @@ class StateEstimator:
         angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
         # an accelerometer's mean covers the time since the previous packet, also after a gap
         middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
-        middle = np.where(age[..., :3] > 1, gyro[:, 1:] - angular * (self.period / 2), middle)
+        middle = np.where(
+            age[..., :3] > 1, gyro[:, 1:] - angular * (self.robot.packet_period / 2), middle
+        )
         # at the pelvis' origin: a - alpha x r - omega x (omega x r)
         proper = readings[..., self._at["accelerometer"]] - angular @ self._arm
         proper -= (middle @ self._imu)[..., None] * middle
@@ -181,7 +174,7 @@ class StateEstimator:
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
-        doubt = np.where(screened.imu, 0.0, self._doubt)
+        doubt = np.where(screened.imu, 0.0, _DOUBT)
         # the filter is compiled for contiguous arrays of one packet
         columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
         packets = zip(*(np.ascontiguousarray(x.swapaxes(0, 1)) for x in columns), strict=True)
@@ -202,7 +195,7 @@ class StateEstimator:
             age: (n, w, 3) packets between a new reading and the previous one; zero without a new
                 reading.
         """
-        angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.period * np.maximum(age, 1))
+        angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.robot.packet_period * np.maximum(age, 1))
         for k in np.flatnonzero((age == 0).any((0, 2))):
             held = angular[:, k - 1] if k else before
             angular[:, k] = np.where(age[:, k] == 0, held, angular[:, k])
@@ -283,22 +276,6 @@ class _Geometry:
     lateral: np.ndarray
     acceleration: np.ndarray
     angular_acceleration: np.ndarray
-
-
-def _headings(heading: ArrayLike, num: int) -> np.ndarray:
-    """(num,) headings from one, (num,) or (num, 1)."""
-    values = np.asarray(heading, dtype=np.float64)
-    if values.shape not in ((), (num,), (num, 1)):
-        raise ShapeError(f"heading must be one number or ({num}, 1), got the shape {values.shape}")
-    if not np.isfinite(values).all():
-        raise ConfigurationError(f"heading must be finite, got {values.tolist()}")
-    return np.broadcast_to(values.reshape(-1), (num,)).copy()
-
-
-def _good(screened: Screened) -> Screened:
-    """Copy of the screened packets with all readings marked good."""
-    legs, imu, age = (np.ones_like(field) for field in (screened.legs, screened.imu, screened.age))
-    return screened._replace(legs=legs, imu=imu, age=age)
 
 
 def _standing(robot: Robot) -> np.ndarray:

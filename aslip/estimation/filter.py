@@ -27,18 +27,14 @@ fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
-from numbers import Real
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from aslip.base.checks import TINY, check_number
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
-
-TUNED_PERIOD: Final = 0.003
-"""Time between packets for which `FilterNoise` gives the errors of single readings [s]."""
 
 P, V, B, LEFT, RIGHT = range(5)
 """Position, velocity, acceleration error and soles in the state of an axis."""
@@ -53,8 +49,7 @@ _POSITIVE = ("leg", "ground", "gate", "rock")
 class FilterNoise:
     """Standard deviations and thresholds of the filter, tuned on walks of the shipped policy.
 
-    The values hold for packets every 3 ms (`TUNED_PERIOD`) and describe white noise of a fixed
-    density: at another period the filter multiplies the variances of readings by 3 ms / period.
+    The values hold for packets every 3 ms.
 
     Raises:
         ConfigurationError: a value is negative or not a finite number, is zero although the filter
@@ -101,17 +96,8 @@ class FilterNoise:
     def __post_init__(self) -> None:
         """Check the values."""
         for field in fields(self):
-            value = getattr(self, field.name)
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not number or not 0 <= float(value) < math.inf:
-                raise ConfigurationError(
-                    f"{field.name} of FilterNoise must be a finite number of 0 or more,"
-                    f" got {value!r}"
-                )
-            if value == 0 and field.name in _POSITIVE:
-                raise ConfigurationError(
-                    f"{field.name} of FilterNoise must be more than 0, got {value!r}"
-                )
+            least = TINY if field.name in _POSITIVE else 0.0
+            check_number(f"{field.name} of FilterNoise", getattr(self, field.name), least)
         if self.unload > self.load:
             raise ConfigurationError(
                 f"unload of FilterNoise must be at most load, got {self.unload!r} N and"
@@ -191,10 +177,8 @@ class ContactFilter:
     ) -> None:
         self.noise = noise
         steps = np.array([noise.slip, noise.slip, noise.sink])
-        # 1 at the tuned period
-        density = TUNED_PERIOD / timestep
         walk = np.zeros((3, 5))
-        walk[:, V] = (timestep * noise.acceleration) ** 2 * density
+        walk[:, V] = (timestep * noise.acceleration) ** 2
         walk[:, B] = timestep * noise.acceleration_error**2
         walk[:, LEFT:] = timestep * steps[:, None] ** 2
         self._settings = _Settings(
@@ -202,9 +186,9 @@ class ContactFilter:
             timestep=timestep,
             radius=sole_radius,
             rock_height=noise.rock * sole_half_length,
-            shock=noise.shock**2 * density,
-            leg=noise.leg**2 * density,
-            ground=noise.ground**2 * density,
+            shock=noise.shock**2,
+            leg=noise.leg**2,
+            ground=noise.ground**2,
             gate=noise.gate,
             load=noise.load,
             unload=noise.unload,

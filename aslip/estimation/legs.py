@@ -8,7 +8,7 @@ plane is a complex number, a rotation is a factor :math:`e^{i\varphi}`, and the 
 of links :math:`c_j`; hip yaw and hip roll turn the plane in the pelvis. This form is
 cheap enough to evaluate at every sensor packet.
 
-Forces follow from the leaf springs by virtual work. With the motors held, a leg gives way in two
+Forces follow from the leaf springs by virtual work. With the motors held, a leg yields in two
 coordinates only: the shin spring :math:`s`, and the tarsus :math:`t`, which bends the heel spring
 :math:`h(s, t)` through the Achilles rod. A force :math:`F` on the foot balances both:
 
@@ -21,7 +21,6 @@ Weight and inertia below the springs (1.6 kg) are neglected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ import numpy as np
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, SIDES, Robot, Side
+from aslip.robot.rotation import quaternion_to_matrix
 from aslip.robot.skeleton import Body, Skeleton
 
 HEEL, TOE, LATERAL, FORCE = range(4)
@@ -227,7 +227,9 @@ def _chain(robot: Robot, side: Side) -> Chain:
     bodies = {name: skeleton.bodies[joint.body] for name, joint in joints.items()}
     zero = {name: joint.zero for name, joint in joints.items()}
 
-    rotations = {name: _matrix(body.quaternion) for name, body in bodies.items()}
+    rotations = {
+        name: quaternion_to_matrix(np.array(body.quaternion)) for name, body in bodies.items()
+    }
     positions = {name: np.array(body.position) for name, body in bodies.items()}
     for name in _PLANAR[1:]:
         if abs(rotations[name][2, 2] - 1) > _PARALLEL:
@@ -265,8 +267,9 @@ def _chain(robot: Robot, side: Side) -> Chain:
 def _sole(robot: Robot, side: Side) -> tuple[np.ndarray, float]:
     """(2, 3) heel and toe ends of the sole's axis in the foot [m], and `Chain.left`."""
     capsule = robot.skeleton.geoms[f"{side}_foot"]
-    to_foot = _matrix(robot.skeleton.sites[robot.foot_sites[SIDES.index(side)]].quaternion)
-    half = _matrix(capsule.quaternion)[:, 2] * capsule.size[1]
+    site = robot.skeleton.sites[robot.foot_sites[SIDES.index(side)]]
+    to_foot = quaternion_to_matrix(np.array(site.quaternion))
+    half = quaternion_to_matrix(np.array(capsule.quaternion))[:, 2] * capsule.size[1]
     half *= np.sign(half @ to_foot[:, 0])  # toes are where the site's x axis points
     return capsule.position + np.outer([-1.0, 1.0], half), np.sign(to_foot[2, 1])
 
@@ -280,15 +283,3 @@ def _rod(skeleton: Skeleton, side: Side) -> tuple[Body, np.ndarray, np.ndarray]:
             own, others = points if loop.first == rod else points[::-1]
             return skeleton.bodies[rod], own, others
     raise ConfigurationError(f"the model does not close the loop of the {side} Achilles rod")
-
-
-def _matrix(quaternion: Sequence[float]) -> np.ndarray:
-    """Rotation matrix of a wxyz quaternion, with the terms of MuJoCo's formula."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )

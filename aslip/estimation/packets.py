@@ -17,7 +17,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aslip.errors import ShapeError, UnknownNameError
-from aslip.estimation.filter import TUNED_PERIOD
 from aslip.robot import CASSIE, Robot
 from aslip.robot.robot import LARGEST, UNIT_TOLERANCE
 
@@ -58,9 +57,6 @@ def join(packet: Mapping[str, np.ndarray], robot: Robot = CASSIE) -> np.ndarray:
         if entry.shape[-1:] != (size,):
             raise ShapeError(f"{name} of a packet must have {size} numbers, got {entry.shape}")
         entries.append(entry)
-    shapes = {entry.shape[:-1] for entry in entries}
-    if len(shapes) > 1:
-        raise ShapeError(f"the entries of packets must have one leading shape, got {shapes}")
     return np.concatenate(entries, axis=-1)
 
 
@@ -104,11 +100,10 @@ class Screen:
     """Screen that replaces bad readings in windows of packets by the last good ones.
 
     Args:
-        period: time between packets [s].
         robot: robot that sends the packets.
     """
 
-    def __init__(self, period: float, robot: Robot = CASSIE) -> None:
+    def __init__(self, robot: Robot) -> None:
         at, sizes = robot.packet_slices, robot.packet_sizes
         self._limit = np.concatenate([np.full(n, LARGEST[name]) for name, n in sizes.items()])
         self._orientation, self._gyro = at["orientation"], at["gyro"]
@@ -117,9 +112,8 @@ class Screen:
         numbers = np.arange(robot.packet_size)
         encoders = [np.split(numbers[at[name]], 2) for name in _ENCODERS]
         self._legs = [np.concatenate([entry[leg] for entry in encoders]) for leg in (0, 1)]
-        self._largest_jump = _LARGEST_JUMP * max(1.0, period / TUNED_PERIOD)
-        self._persistent = round(_PERSISTENT / period)
-        self._most_repeats = int(_SLOWEST_IMU / period)
+        self._persistent = round(_PERSISTENT / robot.packet_period)
+        self._most_repeats = int(_SLOWEST_IMU / robot.packet_period)
 
     # readings near the largest number of double precision overflow
     @np.errstate(over="ignore", invalid="ignore")
@@ -131,7 +125,7 @@ class Screen:
         good[..., self._orientation] &= (np.abs(length - 1) <= UNIT_TOLERANCE)[..., None]
         imu = np.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
         change = np.abs(imu[:, 1:] - imu[:, :-1])
-        smooth = (change <= self._largest_jump).all(-1)
+        smooth = (change <= _LARGEST_JUMP).all(-1)
         # != counts a change to NaN as movement
         moving = change.max(-1) != 0
         if not (good.all() and smooth.all() and moving.all()) or memory.age.any():
@@ -173,7 +167,7 @@ class Screen:
     def _jumps(self, packet: np.ndarray, memory: PacketMemory, valid: np.ndarray) -> np.ndarray:
         """(n,) bool, True where the IMU jumps in packets (n, p); counts successive jumps."""
         change = np.abs(packet[:, self._imu] - memory.reading[:, self._imu])
-        fast = (change > self._largest_jump).any(-1) & valid[:, self._imu].all(-1)
+        fast = (change > _LARGEST_JUMP).any(-1) & valid[:, self._imu].all(-1)
         jump = fast & (memory.jumps < self._persistent)
         memory.jumps[:] = np.where(jump, memory.jumps + 1, 0)
         return jump

@@ -68,9 +68,12 @@ def is_possible(name: str, values: np.ndarray) -> np.ndarray:
 class Robot:
     """Biped with position-controlled motors, encoders and an inertial unit.
 
-    A second robot is an MJCF and an instance of this class. Names are those of the MJCF, left
-    before right. Arrays hold one value per motor, or per joint with an encoder, in the order of the
-    names, and are read-only.
+    A second robot is an MJCF and an instance of this class. `aslip.ik`, `aslip.library`,
+    `aslip.sim` and `aslip.envs.BatchEnv` work with any, `aslip.estimation` with Cassie's legs;
+    whatever is above them, such as transforms, policies and logs, is for Cassie only.
+
+    Names are those of the MJCF, left before right. Arrays hold one value per motor, or per joint
+    with an encoder, in the order of the names, and are read-only.
 
     The MJCF has a free joint at the pelvis, a keyframe `standing`, a geom `floor`, and for each
     side the sensors `SIDE_ground_force` and `SIDE_foot_velocity`.

@@ -54,7 +54,7 @@ def twist_pose(command: np.ndarray, time: np.ndarray) -> Pose:
     full = np.zeros(3)
     full[: len(command)] = command
     angle = full[2] * time
-    way = np.outer(time, [full[0], full[1], 0.0])
+    displacement = np.outer(time, [full[0], full[1], 0.0])
     if full[2]:
-        way = rotate(np.sinc(angle / (2 * np.pi))[:, None] * way, angle / 2)
-    return Pose(way, angle)
+        displacement = rotate(np.sinc(angle / (2 * np.pi))[:, None] * displacement, angle / 2)
+    return Pose(displacement, angle)

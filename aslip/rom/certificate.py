@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 SOLVED = "Solve_Succeeded"
 """IPOPT's status for a problem solved to the requested tolerance."""
@@ -14,6 +14,9 @@ INTEGRATION_TOLERANCE = 1e-4
 """Largest distance between collocated and integrated body position at the end of a mode [m]."""
 MARGIN_TOLERANCE = 1e-8
 """Largest violation of a bound in a certified gait [units of the bound]."""
+
+
+_SIDES = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,11 @@ class Certificate:
         if self.solver_status != SOLVED:
             failed.insert(0, f"the solver stopped with {self.solver_status}")
         return failed
+
+    def mirrored(self) -> "Certificate":
+        """Certificate of the mirror image: left and right exchanged in the names of the margins."""
+        names = {" ".join(_SIDES.get(word, word) for word in n.split(" ")): n for n in self.margins}
+        return replace(self, margins={image: self.margins[n] for image, n in names.items()})
 
     def to_json(self) -> str:
         """One line of JSON; floats survive the round trip exactly."""

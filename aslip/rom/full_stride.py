@@ -70,6 +70,8 @@ class WholeStride:
 class StrideProblem(GaitProgram[WholeStride]):
     """Nonlinear program of a stride; its command is (forward, sideways speed, yaw rate)."""
 
+    _variables = WholeStride
+
     def _formulate(self) -> None:
         p, opti = self.parameters, self.opti
 
@@ -171,8 +173,8 @@ class StrideProblem(GaitProgram[WholeStride]):
     def _repeat(self, stride: ca.MX) -> None:
         """End with the first state, turned and moved on."""
         first, last = self.state[:, 0], self.state[:, -1]
-        angle, way = _arc(self.command, stride)
-        position = way + _rotate(angle, first[:2])
+        angle, shift = _arc(self.command, stride)
+        position = shift + _rotate(angle, first[:2])
         velocity = _rotate(angle, first[3:5])
         image = ca.vertcat(position, first[2], velocity, first[5:])
         self._require("periodicity", last - image, last - image == 0)
@@ -182,9 +184,9 @@ class StrideProblem(GaitProgram[WholeStride]):
         mean, weight = ca.MX.zeros(2), ca.DM(collocation.weights(INTERVALS)).T
         for k in range(4):
             time = begins[k] + durations[k] * ca.DM(np.linspace(0.0, 1.0, POINTS + 1)).T
-            angle, way = _arc(self.command, time)
+            angle, shift = _arc(self.command, time)
             path = self.state[:2, POINTS * k : POINTS * (k + 1) + 1]
-            deviation = _rotate(-angle, path - way)
+            deviation = _rotate(-angle, path - shift)
             mean += durations[k] / INTERVALS * ca.sum2(deviation * ca.repmat(weight, 2, 1))
         self._require("origin", mean, mean == 0)
 
@@ -193,21 +195,11 @@ class StrideProblem(GaitProgram[WholeStride]):
 
         Points (3, n) at times (1, n) after the foot's mid-stance [s].
         """
-        angle, way = _arc(self.command, time)
+        angle, shift = _arc(self.command, time)
         count = angle.shape[1]
         place = self.foothold[:, foot] - ca.DM([behind, 0.0])
-        point = way + _rotate(angle, ca.repmat(place, 1, count))
+        point = shift + _rotate(angle, ca.repmat(place, 1, count))
         return ca.vertcat(point, ca.MX.zeros(1, count))
-
-    def solution(self) -> WholeStride:
-        """Values of all variables after a successful solve."""
-        value = self.opti.value
-        return WholeStride(
-            state=np.asarray(value(self.state)),
-            control=np.asarray(value(self.control)),
-            double_stance=float(value(self.double_stance)),
-            foothold=np.asarray(value(self.foothold)),
-        )
 
     def modes(self, solution: WholeStride, command: np.ndarray) -> list[ModeSolution]:
         """Four contact modes."""
@@ -264,8 +256,8 @@ def footholds(solution: WholeStride, command: np.ndarray, p: SlipParameters) -> 
 def _arc(command: ca.MX, time: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Angle (1, n) and path (2, n) of the moving frame at times (1, n), see `twist_pose`."""
     angle = command[2] * time
-    way = ca.repmat(command[:2], 1, ca.MX(angle).shape[1])
-    return angle, _rotate(angle / 2, way) * ca.repmat(_sinc(angle / 2) * time, 2, 1)
+    shift = ca.repmat(command[:2], 1, ca.MX(angle).shape[1])
+    return angle, _rotate(angle / 2, shift) * ca.repmat(_sinc(angle / 2) * time, 2, 1)
 
 
 def _rotate(angle: ca.MX, vectors: ca.MX) -> ca.MX:

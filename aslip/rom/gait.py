@@ -10,7 +10,7 @@ from aslip.errors import FileDamagedError, ShapeError
 from aslip.rom.arc import twist_pose
 from aslip.rom.certificate import Certificate
 from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
-from aslip.rom.slip import Mode, SlipParameters, leg_force
+from aslip.rom.slip import Mode, SlipParameters, leg_forces
 from aslip.rom.swing import swing_foot, travel
 
 _TRACKS = {"body": ("body_position", "body_velocity"), "feet": ("foot_position", "foot_velocity")}
@@ -154,39 +154,25 @@ class Gait:
         time = within * self.stride
         # the last point opens the next stride and is left out of the search
         mode = self.mode[np.searchsorted(self.time[:-1], time, side="right") - 1]
-        body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
-        set_point, rate = self._interpolate(self.set_point, self.set_point_velocity, time)
+        body = self.body.interpolated(self.time, time)
+        set_point = Track(self.set_point, self.set_point_velocity).interpolated(self.time, time)
         footholds = np.stack([self.feet.position[0], self.feet.position[-1]], axis=1)
         turn, p = self.yaw_rate * self.stride, self.parameters
         feet = swinging_feet(time, self.stride, footholds, p, turn=turn)
-        # (m, 2, 3): from each foot to the body
-        leg = body[:, None, :] - feet.position
-        length = np.linalg.norm(leg, axis=2)
-        length_rate = np.einsum("mlk,mk->ml", leg, velocity) / length
-        force = leg_force(length, length_rate, set_point, rate, p)
-        in_swing = np.stack([mode == Mode.RIGHT, mode == Mode.LEFT], axis=1)
-        force = np.where(in_swing, 0.0, force)
+        stance = np.stack([mode != Mode.RIGHT, mode != Mode.LEFT], axis=1)
+        axial, force = leg_forces(body, feet.position, set_point, p, stance)
         sample = GaitSample(
-            body=Track(body, velocity),
+            body=body,
             feet=feet,
-            ground_force=force[..., None] * leg / length[..., None],
+            ground_force=force,
             heading=Angle(self.yaw_rate * time, np.full(len(time), self.yaw_rate)),
             foot_heading=_foot_heading(time, self.stride, turn, p),
             mode=mode,
-            leg_force=force,
-            set_point=set_point,
-            set_point_velocity=rate,
+            leg_force=axial,
+            set_point=set_point.position,
+            set_point_velocity=set_point.velocity,
         )
         return sample.moved(displacement(self, strides))
-
-    def _interpolate(
-        self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        # the import takes 0.3 s, and loading a library does not need it
-        from scipy.interpolate import CubicHermiteSpline
-
-        spline = CubicHermiteSpline(self.time, value, slope)
-        return spline(time), spline(time, 1)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All fields as arrays that `numpy.savez` stores without pickle.
@@ -210,28 +196,23 @@ class Gait:
             FileDamagedError: a field is missing, or certificate or parameters cannot be read.
             ShapeError: an array has the wrong shape.
         """
-        tracks = [name for names in _TRACKS.values() for name in names]
         columns = ("command", "time", "mode", *_COLUMNS)
-        needed = (*_SCALARS, *columns, *tracks, "certificate", "parameters")
-        missing = [name for name in needed if name not in arrays]
-        if missing:
-            raise FileDamagedError(f"a gait needs {', '.join(missing)}; got {sorted(arrays)}")
         try:
-            certificate = Certificate.from_json(str(arrays["certificate"]))
-            parameters = SlipParameters(**json.loads(str(arrays["parameters"])))
-        except (ValueError, TypeError) as error:
+            return cls(
+                stride=float(arrays["stride"]),
+                cost=float(arrays["cost"]),
+                **{name: arrays[name] for name in columns},
+                body=Track(*(arrays[name] for name in _TRACKS["body"])),
+                feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
+                certificate=Certificate.from_json(str(arrays["certificate"])),
+                parameters=SlipParameters(**json.loads(str(arrays["parameters"]))),
+            )
+        except KeyError as error:
+            raise FileDamagedError(f"a gait needs {error}; got {sorted(arrays)}") from error
+        except (json.JSONDecodeError, TypeError) as error:
             raise FileDamagedError(
                 f"certificate or parameters of a gait are unreadable: {error}"
             ) from error
-        return cls(
-            stride=float(arrays["stride"]),
-            cost=float(arrays["cost"]),
-            **{name: arrays[name] for name in columns},
-            body=Track(*(arrays[name] for name in _TRACKS["body"])),
-            feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
-            certificate=certificate,
-            parameters=parameters,
-        )
 
 
 def swinging_feet(

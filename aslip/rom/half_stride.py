@@ -53,6 +53,8 @@ class HalfStride:
 class WalkingProblem(GaitProgram[HalfStride]):
     """Nonlinear program of half a stride; its command is the speed alone."""
 
+    _variables = HalfStride
+
     def _formulate(self) -> None:
         p, opti, points = self.parameters, self.opti, 2 * INTERVALS + 1
 
@@ -113,17 +115,6 @@ class WalkingProblem(GaitProgram[HalfStride]):
         gap = state[:, -1] - travel - MIRROR_SIGN * state[MIRROR.tolist(), 0]
         self._require("periodicity and mean speed", gap, gap == 0)
         self._require("origin", state[0, 0], state[0, 0] == 0)
-
-    def solution(self) -> HalfStride:
-        """Values of all variables after a successful solve."""
-        value = self.opti.value
-        return HalfStride(
-            state=np.asarray(value(self.state)),
-            single_control=np.asarray(value(self.single_control)),
-            double_control=np.asarray(value(self.double_control)),
-            double_stance=float(value(self.double_stance)),
-            right_foothold=float(value(self.right_foothold)),
-        )
 
     def modes(self, solution: HalfStride, command: np.ndarray) -> list[ModeSolution]:
         """Right single stance and double stance."""

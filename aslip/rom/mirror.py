@@ -10,7 +10,6 @@ from aslip.rom.motion import Track
 from aslip.rom.slip import Mode
 
 _SIGN = np.array([1.0, -1.0, 1.0])
-_SIDES = {"left": "right", "right": "left"}
 
 
 def mirror(gait: Gait) -> Gait:
@@ -35,7 +34,6 @@ def mirror(gait: Gait) -> Gait:
     feet = image(gait.feet)
     legs = ("leg_force", "set_point", "set_point_velocity", "control")
     swapped = np.array([Mode.RIGHT, Mode.LEFT, Mode.DOUBLE])
-    margins = gait.certificate.margins
     return replace(
         gait,
         # adding 0 turns -0 into 0
@@ -43,12 +41,6 @@ def mirror(gait: Gait) -> Gait:
         mode=swapped[gait.mode[order]],
         body=image(gait.body),
         feet=Track(feet.position[:, ::-1], feet.velocity[:, ::-1]),
-        certificate=replace(
-            gait.certificate, margins={_exchanged(name): margins[name] for name in margins}
-        ),
+        certificate=gait.certificate.mirrored(),
         **{name: getattr(gait, name)[order, ::-1] for name in legs},
     )
-
-
-def _exchanged(name: str) -> str:
-    return " ".join(_SIDES.get(word, word) for word in name.split(" "))

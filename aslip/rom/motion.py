@@ -18,15 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import Protocol, Self
 
 import numpy as np
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
 from aslip.rom.arc import Pose, twist_pose
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
 
 COMMAND_SIZES = (1, 2, 3)
 """Lengths of a command: forward speed, sideways speed [m/s], yaw rate [rad/s], in this order."""
@@ -46,6 +43,14 @@ class Track:
     def moved(self, pose: Pose) -> Track:
         """Transform a track (m, ..., 3) from the frames of m poses to their common frame."""
         return Track(pose.transform(self.position), pose.rotate(self.velocity))
+
+    def interpolated(self, knots: np.ndarray, at: np.ndarray) -> Track:
+        """Cubic through points (n, ...) at increasing knots (n,), evaluated at (m,) of these."""
+        # the import takes 0.3 s, and loading a library does not need it
+        from scipy.interpolate import CubicHermiteSpline
+
+        spline = CubicHermiteSpline(knots, self.position, self.velocity)
+        return Track(spline(at), spline(at, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,15 +179,13 @@ class SampledMotion:
         """
         strides, within = split_phase(phase)
         s, next_stride = self.samples, self._next_stride()
-        angle = self._hermite(
-            _closed(s.heading.angle, next_stride.heading.angle),
-            _closed(s.heading.rate, next_stride.heading.rate),
-        )
+        heading, end = (Track(one.angle, one.rate) for one in (s.heading, next_stride.heading))
+        heading = self._track(heading, end, within)
         sample = MotionSample(
             body=self._track(s.body, next_stride.body, within),
             feet=self._track(s.feet, next_stride.feet, within),
             ground_force=_linear(s.ground_force, next_stride.ground_force, within),
-            heading=Angle(angle(within), angle(within, 1) / self.stride),
+            heading=Angle(heading.position, heading.velocity),
             foot_heading=_linear(s.foot_heading, next_stride.foot_heading, within),
         )
         return sample.moved(displacement(self, strides))
@@ -235,17 +238,11 @@ class SampledMotion:
         return first.moved(displacement(self, np.ones(1)))
 
     def _track(self, track: Track, end: Track, within: np.ndarray) -> Track:
-        path = self._hermite(
-            _closed(track.position, end.position), _closed(track.velocity, end.velocity)
-        )
-        return Track(path(within), path(within, 1) / self.stride)
-
-    def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
-        """Cubic spline over phase through m + 1 samples with given time derivatives."""
-        # the import takes 0.3 s, and loading a library does not need it
-        from scipy.interpolate import CubicHermiteSpline
-
-        return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)
+        """Cubic over phase through m samples and the first one of the next stride."""
+        rates = self.stride * np.concatenate([track.velocity, end.velocity])
+        path = Track(np.concatenate([track.position, end.position]), rates)
+        found = path.interpolated(np.linspace(0.0, 1.0, len(rates)), within)
+        return Track(found.position, found.velocity / self.stride)
 
 
 def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -261,14 +258,9 @@ def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return strides, phase - strides
 
 
-def _closed(values: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Samples of a stride, followed by the first sample of the next stride."""
-    return np.concatenate([values, end])
-
-
 def _linear(values: np.ndarray, end: np.ndarray, within: np.ndarray) -> np.ndarray:
     """Linear interpolation of m samples and the first one of the next stride."""
-    closed, place = _closed(values, end), within * len(values)
+    closed, place = np.concatenate([values, end]), within * len(values)
     left = np.minimum(place.astype(int), len(values) - 1)
     weight = (place - left).reshape(-1, *(1,) * (values.ndim - 1))
     return closed[left] + weight * (closed[left + 1] - closed[left])

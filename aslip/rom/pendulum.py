@@ -20,13 +20,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aslip.errors import ConfigurationError
+from aslip.base.checks import TINY, check_number
 from aslip.rom.gait import Gait
 from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
 from aslip.rom.slip import SlipParameters
 from aslip.rom.swing import swing_foot
 
 _MODEL = SlipParameters()
+# share of a footstep's duration for which the swing foot is in the air
+_SWING_SHARE = 0.8
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,7 @@ class PendulumWalk:
     differ only in the motion of the body over its feet.
 
     Raises:
-        ConfigurationError: a length, time or mass is not positive, the share is not in (0, 1], or
-            the speed is not finite.
+        ConfigurationError: a length, time or mass is not positive, or the speed is not finite.
     """
 
     speed: float = 0.75
@@ -53,18 +54,12 @@ class PendulumWalk:
     """Height of a foot at mid-swing [m]."""
     mass: float = _MODEL.mass
     """Mass of the body [kg], which the ground forces carry."""
-    swing_share: float = 0.8
-    """Share of a footstep's duration for which the swing foot is in the air."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
         for name in ("stride", "height", "width", "clearance", "mass"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)!r}")
-        if not 0 < self.swing_share <= 1:
-            raise ConfigurationError(f"swing_share must be in (0, 1], got {self.swing_share!r}")
-        if not np.isfinite(self.speed):
-            raise ConfigurationError(f"speed must be finite [m/s], got {self.speed!r}")
+            check_number(name, getattr(self, name), TINY)
+        check_number("speed", self.speed, what="in m/s")
 
     @property
     def command(self) -> np.ndarray:
@@ -132,7 +127,7 @@ class PendulumWalk:
                     (phase - begins) * self.stride,
                     first,
                     first + np.array([2 * length, 0, 0]),
-                    duration=self.swing_share * duration,
+                    duration=_SWING_SHARE * duration,
                     clearance=self.clearance,
                 )
             )
@@ -151,7 +146,7 @@ def pendulum_walks(gaits: Sequence[Gait], walk: PendulumWalk | None = None) -> l
 
     Args:
         gaits: gaits that give speeds, strides and heights.
-        walk: mass, width, clearance and share of swing of all walks; by default mass, width and
+        walk: mass, width and clearance of all walks; by default mass, width and
             clearance of each gait's model.
     """
     walks = []

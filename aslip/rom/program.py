@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Generic, TypeVar, get_args
 
@@ -63,6 +63,8 @@ class GaitProgram(ABC, Generic[Solution]):
         constraints: (name, number of rows) in the order of the rows.
     """
 
+    _variables: type[Solution]
+
     def __init__(self, parameters: SlipParameters, objective: Objective = "mean") -> None:
         if objective not in get_args(Objective):
             raise ConfigurationError(
@@ -80,9 +82,13 @@ class GaitProgram(ABC, Generic[Solution]):
     def _formulate(self) -> None:
         """Declare variables, objective and constraints."""
 
-    @abstractmethod
     def solution(self) -> Solution:
         """Values of all variables after a successful solve."""
+        values = {
+            field.name: self.opti.value(getattr(self, field.name))
+            for field in fields(self._variables)  # pyright: ignore[reportArgumentType]
+        }
+        return self._variables(**values)
 
     @abstractmethod
     def modes(self, solution: Solution, command: np.ndarray) -> Sequence[ModeSolution]:

@@ -5,7 +5,11 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, Final, Literal
 
+import numpy as np
+
+from aslip.base.checks import TINY, check_number
 from aslip.errors import ConfigurationError
+from aslip.rom.motion import Track
 
 Objective = Literal["mean", "integral"]
 """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
@@ -22,6 +26,14 @@ class Mode(IntEnum):
     def stance(self) -> tuple[bool, bool]:
         """Contact of the left and of the right foot, True on the ground."""
         return self is not Mode.RIGHT, self is not Mode.LEFT
+
+
+# limits of parameters that may be zero or are shares
+_LIMITS = {
+    "swing_ramp": (TINY, 0.5),
+    "heel_offset": (0.0, math.inf),
+    "min_stance_force": (0.0, 0.99),
+}
 
 
 @dataclass(frozen=True)
@@ -111,23 +123,8 @@ class SlipParameters:
         """Check that values are positive and finite and bounds in order."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "swing_ramp":
-                if value is not None and not 0.0 < value <= 0.5:
-                    raise ConfigurationError(
-                        f"swing_ramp must be above 0 and at most 0.5, or None, got {value}"
-                    )
-            elif field.name == "heel_offset":
-                if not 0.0 <= value < math.inf:
-                    raise ConfigurationError(
-                        f"heel_offset must be at least 0 and finite, got {value}"
-                    )
-            elif field.name == "min_stance_force":
-                if not 0.0 <= value < 1.0:
-                    raise ConfigurationError(
-                        f"min_stance_force must be at least 0 and below 1 body weight, got {value}"
-                    )
-            elif not (math.isfinite(value) and value > 0.0):
-                raise ConfigurationError(f"{field.name} must be positive and finite, got {value}")
+            if value is not None or field.name != "swing_ramp":
+                check_number(field.name, value, *_LIMITS.get(field.name, (TINY, math.inf)))
         for name in ("double_stance", "leg_length"):
             low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
             if low >= high:
@@ -146,6 +143,26 @@ DIRECTION_MODEL: Final = SlipParameters(
 weight, footholds of turns are wide enough for Cassie's legs, which reach 0.35 m behind the feet,
 and the swing foot is low and steady, because Cassie's motors cannot follow the published swing at
 2 m/s."""
+
+
+def leg_forces(
+    body: Track, feet: np.ndarray, set_point: Track, p: SlipParameters, stance: Any = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Axial forces (m, 2) of both legs, and forces (m, 2, 3) of the ground on the feet [N].
+
+    Args:
+        body: (m, 3) point mass.
+        feet: (m, 2, 3) left and right foot, or (2, 3) for all m [m].
+        set_point: (m, 2) actuator set points.
+        p: model parameters.
+        stance: (m, 2) bool, False for legs in swing, which have no force.
+    """
+    leg = body.position[:, None] - feet
+    length = np.linalg.norm(leg, axis=2)
+    length_rate = np.einsum("mlk,mk->ml", leg, body.velocity) / length
+    force = leg_force(length, length_rate, set_point.position, set_point.velocity, p)
+    force = np.where(stance, force, 0.0)
+    return force, force[..., None] * leg / length[..., None]
 
 
 def leg_force(

@@ -17,10 +17,9 @@ import numpy as np
 
 from aslip.rom.certificate import Certificate
 from aslip.rom.motion import Angle, MotionSample, Track
-from aslip.rom.slip import SlipParameters, leg_force
+from aslip.rom.slip import SlipParameters, leg_forces
 
 _SIGN = np.array([1.0, -1.0, 1.0])
-_SIDES = {"left": "right", "right": "left"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,34 +67,20 @@ class Transition:
         Body and set points are cubic Hermite interpolants, as in `aslip.rom.Gait`.
         """
         time = np.clip(np.asarray(phase, dtype=float), 0.0, 1.0) * self.stride
-        body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
-        set_point, rate = self._interpolate(self.set_point, self.set_point_velocity, time)
-        return _planted(body, velocity, set_point, rate, self.feet, self.parameters)
+        body = self.body.interpolated(self.time, time)
+        set_point = Track(self.set_point, self.set_point_velocity).interpolated(self.time, time)
+        return _planted(body, set_point, self.feet, self.parameters)
 
     def mirrored(self) -> Transition:
         """Mirror image, left and right exchanged."""
-        margins = self.certificate.margins
-        exchanged = {
-            " ".join(_SIDES.get(word, word) for word in name.split(" ")): margin
-            for name, margin in margins.items()
-        }
         legs = ("set_point", "set_point_velocity", "control")
         return replace(
             self,
             body=Track(self.body.position * _SIGN, self.body.velocity * _SIGN),
             feet=(self.feet * _SIGN)[::-1],
-            certificate=replace(self.certificate, margins=exchanged),
+            certificate=self.certificate.mirrored(),
             **{name: getattr(self, name)[:, ::-1] for name in legs},
         )
-
-    def _interpolate(
-        self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        # the import takes 0.3 s, and loading a library does not need it
-        from scipy.interpolate import CubicHermiteSpline
-
-        spline = CubicHermiteSpline(self.time, value, slope)
-        return spline(time), spline(time, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,30 +113,23 @@ class Standing:
 
     def sample(self, phase: np.ndarray) -> MotionSample:
         """Rest at phases (m,); all phases have the same pose."""
-        body, set_point = (np.tile(value, (len(phase), 1)) for value in (self.body, self.set_point))
-        still = np.zeros_like(body), np.zeros_like(set_point)
-        return _planted(body, still[0], set_point, still[1], self.feet, self.parameters)
+        body, set_point = (
+            Track(np.tile(value, (len(phase), 1)), np.zeros((len(phase), len(value))))
+            for value in (self.body, self.set_point)
+        )
+        return _planted(body, set_point, self.feet, self.parameters)
 
 
-def _planted(
-    body: np.ndarray,
-    velocity: np.ndarray,
-    set_point: np.ndarray,
-    set_point_rate: np.ndarray,
-    feet: np.ndarray,
-    p: SlipParameters,
-) -> MotionSample:
+def _planted(body: Track, set_point: Track, feet: np.ndarray, p: SlipParameters) -> MotionSample:
     """Sample (m,) of a body (m, 3) on both legs, set points (m, 2), with planted feet (2, 3)."""
-    leg = body[:, None] - feet
-    length = np.linalg.norm(leg, axis=2)
-    length_rate = np.einsum("mlk,mk->ml", leg, velocity) / length
-    force = leg_force(length, length_rate, set_point, set_point_rate, p)
+    count = len(body.position)
+    _, force = leg_forces(body, feet, set_point, p)
     return MotionSample(
-        body=Track(body, velocity),
-        feet=Track(np.tile(feet, (len(body), 1, 1)), np.zeros((len(body), 2, 3))),
-        ground_force=force[..., None] * leg / length[..., None],
-        heading=Angle.zeros(len(body)),
-        foot_heading=np.zeros((len(body), 2)),
+        body=body,
+        feet=Track(np.tile(feet, (count, 1, 1)), np.zeros((count, 2, 3))),
+        ground_force=force,
+        heading=Angle.zeros(count),
+        foot_heading=np.zeros((count, 2)),
     )
 
 

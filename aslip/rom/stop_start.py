@@ -52,7 +52,7 @@ class StopAndStart:
     start_control: np.ndarray
     """(2, 2 N + 1) inputs of the start [m/s^2]."""
     duration: np.ndarray
-    """(2, 1) durations of stop and start [s]."""
+    """(2,) durations of stop and start [s]."""
 
 
 class RestProblem(GaitProgram[StopAndStart]):
@@ -61,6 +61,8 @@ class RestProblem(GaitProgram[StopAndStart]):
     The parameters, in place of a command: state at left touchdown (10), state at right lift-off
     (10), left and right foot (3 + 3), see `aslip.rom.stop_start.ends_of_gait`.
     """
+
+    _variables = StopAndStart
 
     def _formulate(self) -> None:
         opti = self.opti
@@ -124,20 +126,6 @@ class RestProblem(GaitProgram[StopAndStart]):
         self._require("rest again", again, again == 0)
         self._require("lift-off", last[_PLANE], last[_PLANE] == 0)
 
-    def solution(self) -> StopAndStart:
-        """Values of all variables after a successful solve."""
-        value = self.opti.value
-        return StopAndStart(
-            *(
-                np.asarray(value(variable))
-                for variable in (
-                    *(self.stop_state, self.start_state),
-                    *(self.stop_control, self.start_control),
-                )
-            ),
-            duration=np.reshape(value(self.duration), (2, 1)),
-        )
-
     def title(self, command: np.ndarray) -> str:
         """Name of the problem, for error messages."""
         del command
@@ -149,7 +137,7 @@ class RestProblem(GaitProgram[StopAndStart]):
         state = solution.stop_state, solution.start_state
         control = solution.stop_control, solution.start_control
         return [
-            ModeSolution(Mode.DOUBLE, state[i], control[i], feet, float(solution.duration[i, 0]))
+            ModeSolution(Mode.DOUBLE, state[i], control[i], feet, float(solution.duration[i]))
             for i in range(2)
         ]
 
@@ -168,7 +156,7 @@ class RestProblem(GaitProgram[StopAndStart]):
             start_state=_cubic(rest, lift_off, duration),
             stop_control=control,
             start_control=control,
-            duration=np.full((2, 1), duration),
+            duration=np.full(2, duration),
         )
 
 

@@ -99,7 +99,7 @@ def swing_foot(
     """
     fraction = time / duration
     share, share_rate = (travel(fraction, order, ramp=ramp) for order in (0, 1))
-    # an arc is the way of a constant twist, see `aslip.rom.arc.twist_pose`
+    # an arc is the path of a constant twist, see `aslip.rom.arc.twist_pose`
     tangent = np.subtract(end, start) / _sinc(turn / 2)
     path = np.multiply.outer(share * _sinc(share * turn / 2), tangent)
     velocity = rotate(np.multiply.outer(share_rate, tangent), (share - 0.5) * turn)

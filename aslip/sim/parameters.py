@@ -41,10 +41,7 @@ DYNAMICS: Final = MappingProxyType(
         ),
         "floor_friction": Parameter("sliding friction of the floor", 0.01, 5.0, ("geom_friction",)),
         "spring_stiffness": Parameter(
-            "factor on the stiffness of the leaf springs",
-            0.1,
-            10.0,
-            ("jnt_stiffness",),
+            "factor on the stiffness of the leaf springs", 0.1, 10.0, ("jnt_stiffness",)
         ),
         "joint_damping": Parameter("factor on the damping of joints", 0.0, 20.0, ("dof_damping",)),
         "reflected_inertia": Parameter(
@@ -73,10 +70,7 @@ DYNAMICS: Final = MappingProxyType(
             "factor on the velocity gains of the PD loop", 0.0, 10.0, ("drive.damping",)
         ),
         "sensor_noise": Parameter(
-            "factor on the sensors' noise, applied by transforms",
-            0.0,
-            100.0,
-            (),
+            "factor on the sensors' noise, applied by transforms", 0.0, 100.0, ()
         ),
     }
 )

@@ -19,7 +19,7 @@ import numpy as np
 
 from aslip.base.checks import check_count, check_ids, check_states
 from aslip.base.processes import processors
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
 from aslip.sim.drive import PD, MakeDrive
@@ -101,20 +101,16 @@ class SimulationPool:
         Raises:
             ConfigurationError: a simulation does not exist, or this process was forked; nothing is
                 reset.
-            ShapeError: an array has the wrong shape; nothing is reset.
+            ShapeError: an array has the wrong shape.
         """
         self._check_process()
         ids = check_ids(ids, self.num)
-        for name, value, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
-            if value is not None and value.shape != (len(ids), size):
-                raise ShapeError(f"{name} must have shape {(len(ids), size)}, got {value.shape}")
         for part, rows, own_ids in self._owners(ids):
             initial = (None if value is None else value[rows] for value in (qpos, qvel))
             part.reset(own_ids, *initial)
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         """Change fields of some simulations' models; see `Simulations.write_fields`."""
-        ids = check_ids(ids, self.num)
         for part, rows, own_ids in self._owners(ids):
             part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
 
@@ -161,11 +157,6 @@ class SimulationPool:
             ShapeError: `motor_target` or `push` has the wrong shape.
         """
         self._check_process()
-        if motor_target.shape != (self.num, self.command_size):
-            expected = (self.num, self.command_size)
-            raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
-        if push is not None and push.shape != (self.num, 3):
-            raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
         shares = np.split(motor_target, self._starts[1:])
         pushes = [None] * len(shares) if push is None else np.split(push, self._starts[1:])
         self._process = os.getpid()

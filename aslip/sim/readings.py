@@ -13,7 +13,7 @@ MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, 
 per step times pi (public simulator)."""
 
 _TAPS = len(MOTOR_VELOCITY_TAPS)
-_OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
+OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
 
 
 @compiled
@@ -57,7 +57,7 @@ def read_encoders(
             # a sum of whole numbers is exact in any order
             total = 0.0
             for k in range(_TAPS):
-                total += _OLDEST_FIRST[k] * count[k, i, j]
+                total += OLDEST_FIRST[k] * count[k, i, j]
             velocity[i, j] = total * velocity_step[j]
         for j in range(4):
             inertial[j, i] = qpos[i, orientation + j]
@@ -177,25 +177,6 @@ def fill_imu(
             sent_force[i, k, 0] = x / per
             sent_force[i, k, 1] = y / per
             sent_force[i, k, 2] = z / per
-
-
-@compiled
-def read_imu(
-    inertial: np.ndarray,
-    gravity: np.ndarray,
-    tilt: np.ndarray,
-    imu: np.ndarray,
-    orientation: np.ndarray,
-    force: np.ndarray,
-) -> None:
-    """Write orientations (n, 4) and specific forces (n, 3) of one substep, inertial (13, n)."""
-    for i in range(inertial.shape[1]):
-        attitude = _attitude(inertial[:, i], tilt[:, i])
-        for j in range(4):
-            orientation[i, j] = attitude[j]
-        specific = _specific_force(inertial[:, i], gravity[:, i], imu)
-        for j in range(3):
-            force[i, j] = specific[j]
 
 
 @compiled

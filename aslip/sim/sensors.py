@@ -28,11 +28,11 @@ import numpy as np
 from aslip.robot import CASSIE, Robot
 from aslip.sim.readings import (
     MOTOR_VELOCITY_TAPS,
+    OLDEST_FIRST,
     fill_encoders,
     fill_imu,
     filter_joints,
     read_encoders,
-    read_imu,
 )
 
 JOINT_VELOCITY_FILTER: Final = (
@@ -45,9 +45,8 @@ _TAPS = len(MOTOR_VELOCITY_TAPS)
 _MEMORY_ROWS = _TAPS - 1
 _ORDER = max(map(len, JOINT_VELOCITY_FILTER)) - 1
 
-_OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
-# after a quaternion: angular velocity, linear and angular acceleration
-_GYRO, _LINEAR, _ANGULAR = slice(4, 7), slice(7, 10), slice(10, 13)
+# after quaternion and angular velocity: linear and angular acceleration
+_LINEAR, _ANGULAR = slice(7, 10), slice(10, 13)
 
 
 class Sensors:
@@ -121,7 +120,9 @@ class Sensors:
         counts = np.trunc((angle - ages[:, None, None] * velocity) / self._motor_step)
         self._count[:_MEMORY_ROWS, ids] = counts[1:]
         self.motor_position[ids] = counts[-1] * self._motor_step
-        self.motor_velocity[ids] = _motor_velocity(counts) * self._velocity_step
+        # a sum of whole numbers is exact in any order
+        velocity = (OLDEST_FIRST @ counts.reshape(_TAPS, -1)).reshape(counts.shape[1:])
+        self.motor_velocity[ids] = velocity * self._velocity_step
 
         joint_velocity = qvel[:, at.joint_qvel]
         joint = qpos[:, at.joint_qpos] - self._timestep * joint_velocity
@@ -139,17 +140,21 @@ class Sensors:
             ],
             axis=1,
         ).T
-        attitude, force = np.empty((len(ids), 4)), np.empty((len(ids), 3))
-        world = self._gravity[:, ids], self._tilt[:, ids]
-        read_imu(inertial, *world, self._imu, attitude, force)
+        attitude, gyro, force = (np.empty((len(ids), 1, size)) for size in (4, 3, 3))
+        # a period of one substep, in arrays as those that the function is compiled for
+        now = (
+            np.ascontiguousarray(a)
+            for a in (inertial[:, None], self._gravity[:, ids], self._tilt[:, ids])
+        )
+        fill_imu(*now, self._imu, attitude, gyro, force)
         first = {
             "motor_position": self.motor_position[ids],
             "motor_velocity": self.motor_velocity[ids],
             "joint_position": counted,
             "joint_velocity": self._ramp_gain * joint_velocity,
-            "orientation": attitude,
-            "gyro": inertial[_GYRO].T,
-            "accelerometer": force,
+            "orientation": attitude[:, 0],
+            "gyro": gyro[:, 0],
+            "accelerometer": force[:, 0],
         }
         for name, values in first.items():
             self._packets[name][ids] = values[:, None]
@@ -220,15 +225,6 @@ class Sensors:
         self._count[:_MEMORY_ROWS] = count.reshape(num, _MEMORY_ROWS, motors).swapaxes(0, 1)
         self._joint_memory[:] = joint.reshape(num, _ORDER, -1).swapaxes(0, 1)
         self.motor_position[:], self.motor_velocity[:] = position, velocity
-
-
-def _motor_velocity(counts: np.ndarray) -> np.ndarray:
-    """Sums (n, 10) of taps times the last nine counts (9, n, 10), oldest first.
-
-    A sum of whole numbers is exact in any order.
-    """
-    flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
-    return flat.reshape(counts.shape[1:])
 
 
 def _padded(numerator: np.ndarray, denominator: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from aslip.base.checks import check_count, check_ids, check_states
+from aslip.base.checks import check_ids, check_states
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import check_timestep, load_model
@@ -29,7 +29,7 @@ from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.parameters import DRIVE
 from aslip.sim.sensors import Sensors
-from aslip.sim.truth import Snapshot, positive_power
+from aslip.sim.truth import PeriodLoads, Snapshot
 
 # recompute position and velocity stages, as mj_step1 does, so that sensors match the state
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -49,8 +49,8 @@ class Simulations:
         drive: low level between commands and motors.
 
     Raises:
-        ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep is not
-            one of `aslip.robot.model.physics_timesteps`.
+        ConfigurationError: the model's timestep is not one of
+            `aslip.robot.model.physics_timesteps`.
     """
 
     def __init__(
@@ -62,10 +62,6 @@ class Simulations:
         robot: Robot = CASSIE,
         drive: MakeDrive = PD,
     ) -> None:
-        num, num_threads = (
-            check_count("the number of simulations", num),
-            check_count("num_threads", num_threads, least=0),
-        )
         self.model = load_model(visual=False, robot=robot) if model is None else model
         check_timestep(self.model.opt.timestep, robot)
         self.robot, self.indices = robot, robot.indices
@@ -83,9 +79,7 @@ class Simulations:
         )
         self.sensors = Sensors(num, self.model, robot)
         """Sensors of the robots."""
-        self._ground_force = np.zeros((num, 2, 3))
-        self._motor_power = np.zeros((num, self.model.nu))
-        self._largest_force = np.zeros((num, 2))
+        self._loads = PeriodLoads(num, self.indices)
         self._watched: int | None = None
         self.watched = np.zeros((self.robot.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
@@ -140,9 +134,7 @@ class Simulations:
         if qvel is not None:
             self.qvel[ids] = qvel
         self.batch.forward(ids)
-        self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
-        self._largest_force[ids] = self._ground_force[ids][..., 2]
-        self._motor_power[ids] = 0.0
+        self._loads.reset(ids, self._sensordata[ids][:, self.indices.ground_force])
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
     def stand(self) -> None:
@@ -158,11 +150,7 @@ class Simulations:
         Args:
             ids: (k,) simulations, sorted and unique.
             fields: field, by the name in `mujoco.batch` -> (k, ...).
-
-        Raises:
-            ConfigurationError: a simulation does not exist.
         """
-        ids = check_ids(ids, self.num)
         for name, rows in fields.items():
             if not name.startswith(DRIVE):
                 self.batch.expand(name)[ids] = rows
@@ -207,22 +195,17 @@ class Simulations:
             self._push[:] = 0.0 if push is None else push
             self._pushed = push is not None
         self.batch.warning[:] = 0
-        self._ground_force[:] = 0.0
-        self._largest_force[:] = 0.0
-        self._motor_power[:] = 0.0
+        self._loads.clear()
         failed = np.zeros(self.num, dtype=bool)
         substep = self._substep if self._stride == 1 else self._two_substeps
         for first in range(0, self.robot.substeps, self._stride):
             last = first + self._stride == self.robot.substeps
             substep(first, motor_target, failed, _CURRENT if last else _NONE)
             force = self._sensordata[:, self.indices.ground_force]
-            self._ground_force += force
-            np.maximum(self._largest_force, force[..., 2], out=self._largest_force)
-            self._motor_power += positive_power(self._qfrc_actuator, self.qvel, self.indices)
+            self._loads.add(force, self._qfrc_actuator, self.qvel)
             if self._watched is not None:
                 self._record(first, self._watched)
-        self._ground_force /= self.robot.substeps / self._stride
-        self._motor_power /= self.robot.substeps / self._stride
+        self._loads.average(self.robot.substeps / self._stride)
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
@@ -238,10 +221,10 @@ class Simulations:
             self._site_xpos,
             self._site_xmat,
             self._sensordata,
-            self._ground_force,
+            self._loads.ground_force,
             self._qfrc_actuator,
-            self._motor_power,
-            self._largest_force,
+            self._loads.motor_power,
+            self._loads.largest_force,
         )
 
     @property
@@ -324,7 +307,7 @@ class Simulations:
         )
 
     def _finite(self) -> np.ndarray:
-        arrays = (self.qpos, self.qvel, self._ground_force.reshape(self.num, -1))
+        arrays = (self.qpos, self.qvel, self._loads.ground_force.reshape(self.num, -1))
         return np.isfinite(np.concatenate(arrays, axis=1)).min(axis=1)
 
 

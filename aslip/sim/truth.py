@@ -50,16 +50,49 @@ class Snapshot:
         return cls(*(np.concatenate([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
 
 
-def positive_power(torque: np.ndarray, qvel: np.ndarray, indices: Indices) -> np.ndarray:
-    """Positive mechanical power (*b, 10) of the motors [W]; braking motors count as zero.
+class PeriodLoads:
+    """Loads of n robots over a policy period, and right after a reset.
 
     Args:
-        torque: (*b, 32) torques of the motors at the joints, in the order of `qvel` [N m].
-        qvel: (*b, 32) generalised velocities [rad/s].
-        indices: places of the motors in the arrays.
+        num: number of robots n.
+        indices: places of the motors in MuJoCo's arrays.
     """
-    motors = indices.motor_qvel
-    return np.maximum(torque[..., motors] * qvel[..., motors], 0.0)
+
+    def __init__(self, num: int, indices: Indices) -> None:
+        self._motors = indices.motor_qvel
+        self.ground_force = np.zeros((num, 2, 3))
+        """See `Snapshot.ground_force`; a sum until `average`."""
+        self.motor_power = np.zeros((num, len(self._motors)))
+        """See `Snapshot.motor_power`; braking motors count as zero."""
+        self.largest_force = np.zeros((num, 2))
+        """See `Snapshot.largest_force`."""
+
+    def reset(self, ids: np.ndarray | slice, force: np.ndarray) -> None:
+        """Take the forces (k, 2, 3) of (k,) robots at rest; their motors do no work."""
+        self.ground_force[ids], self.largest_force[ids] = force, force[..., 2]
+        self.motor_power[ids] = 0.0
+
+    def clear(self) -> None:
+        """Start a policy period."""
+        for array in (self.ground_force, self.motor_power, self.largest_force):
+            array[:] = 0.0
+
+    def add(self, force: np.ndarray, torque: np.ndarray, qvel: np.ndarray) -> None:
+        """Add a physics step.
+
+        Args:
+            force: (n, 2, 3) forces of the floor on the feet [N, world].
+            torque: (n, 32) torques of the motors at the joints, in the order of `qvel` [N m].
+            qvel: (n, 32) generalised velocities.
+        """
+        self.ground_force += force
+        np.maximum(self.largest_force, force[..., 2], out=self.largest_force)
+        self.motor_power += np.maximum(torque[:, self._motors] * qvel[:, self._motors], 0.0)
+
+    def average(self, steps: float) -> None:
+        """Divide sums by the number of physics steps."""
+        self.ground_force /= steps
+        self.motor_power /= steps
 
 
 def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:

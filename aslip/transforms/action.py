@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite
 
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.base.checks import TINY, check_number
+from aslip.errors import ShapeError
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
 
@@ -28,25 +27,22 @@ class ActionDelta(SeededTransform):
 
     Args:
         baseline_key: key of the angles (n, m) to which the action is added [rad].
-        limit: bound +- `limit` of the action spec, one for all motors or one for each [rad].
+        limit: bound +- `limit` of the action spec [rad].
 
     Raises:
-        ConfigurationError: a limit is not a finite number above 0, or (raised when added to a
-            stack) there is neither one limit nor one for each motor.
+        ConfigurationError: `limit` is not a finite number above 0.
     """
-
-    num_in_keys, num_out_keys = 1, 0
 
     def __init__(
         self,
         baseline_key: NestedKey = ("reference", "motor_position"),
         *,
-        limit: float | Sequence[float] = math.pi / 2,
+        limit: float = math.pi / 2,
     ) -> None:
         super().__init__(in_keys=[baseline_key], out_keys=[])
         self.in_keys_inv, self.out_keys_inv = ["motor_target"], ["action"]
         self.baseline_key = baseline_key
-        self.limit = _checked(limit)
+        self.limit = check_number("limit", limit, TINY, what="in rad")
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         baseline, action = tensordict[self.baseline_key], tensordict[self.out_keys_inv[0]]
@@ -56,11 +52,7 @@ class ActionDelta(SeededTransform):
         """Replace the motor targets by the action."""
         (target,), (action,) = self.in_keys_inv, self.out_keys_inv
         shape = action_spec[target].shape
-        if isinstance(self.limit, tuple) and len(self.limit) != shape[-1]:
-            raise ConfigurationError(
-                f"limit must be one number or {shape[-1]} of them [rad], got {self.limit}"
-            )
-        high = torch.tensor(self.limit, dtype=torch.float32).expand(shape)
+        high = torch.full(shape, self.limit, dtype=torch.float32)
         del action_spec[target]
         action_spec[action] = Bounded(-high, high, shape=shape, dtype=torch.float32)
         return action_spec
@@ -79,32 +71,10 @@ def add_delta(baseline: Tensor, action: Tensor) -> Tensor:
     return baseline + torch.where(action.isfinite(), action, torch.nan)
 
 
-def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
-    """One finite number above 0, or a tuple of them.
-
-    Raises:
-        ConfigurationError: `limit` is anything else.
-    """
-    try:
-        values = np.atleast_1d(np.asarray(limit, dtype=np.float64))
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.ndim > 1 or not values.size or not (np.isfinite(values) & (values > 0)).all():
-        raise ConfigurationError(
-            f"limit must be a finite number above 0 [rad], or one for each motor, got {limit!r}"
-        )
-    numbers = tuple(values.tolist())
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
 class LastAction(SeededTransform):
     """Write the action of the last policy step as `last_action` (n, m); zero after a reset."""
 
-    num_in_keys, num_out_keys = 1, 1
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(in_keys=["action"], out_keys=["last_action"])
         self._size = 0
 

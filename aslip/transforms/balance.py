@@ -21,7 +21,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from aslip.estimation.legs import HEEL, TOE, leg_chains
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, rotate_inverse
 
 PENDULUM_RATE: Final = 2.85
@@ -45,7 +45,7 @@ class Balance(NamedTuple):
     """(*b, 1) bool, its divergent component is nearer to the left foot."""
 
 
-def find_balance(estimate: Mapping[str, Tensor] | TensorDictBase, robot: Robot = CASSIE) -> Balance:
+def find_balance(estimate: Mapping[str, Tensor] | TensorDictBase) -> Balance:
     """Balance of robots, wherever their feet are: also of one that swings, if it landed there.
 
     The divergent component is a u + b f from the middle of the soles, with u from the right to the
@@ -55,10 +55,9 @@ def find_balance(estimate: Mapping[str, Tensor] | TensorDictBase, robot: Robot =
     Args:
         estimate: entries (*b, k) of `Robot.estimate_sizes`, level in any frame: orientation,
             velocity [m/s], motor and joint positions [rad].
-        robot: robot with Cassie's legs, see `aslip.estimation.legs.LegKinematics`.
     """
     entries = {name: cast("Tensor", estimate[name]) for name in _READ}
-    ends = _sole_ends(entries["motor_position"], entries["joint_position"], robot)
+    ends = _sole_ends(entries["motor_position"], entries["joint_position"])
     to_level = conjugate(entries["orientation"])[..., None, None, :]
     ends = rotate_inverse(to_level, ends)[..., :2]
     soles, toes = ends.mean(-2), ends[..., TOE, :] - ends[..., HEEL, :]
@@ -68,10 +67,10 @@ def find_balance(estimate: Mapping[str, Tensor] | TensorDictBase, robot: Robot =
     component = entries["velocity"][..., :2] / PENDULUM_RATE - soles.mean(-2)
     width = _cross(along, across)
     share = _cross(along, component) / width
-    ahead = _cross(component, across) / width
-    half_length = robot.skeleton.geoms["left_foot"].size[1]
-    steady = (width >= LEAST_WIDTH) & (share.abs() <= LARGEST_SHARE) & (ahead.abs() <= half_length)
-    return Balance(steady, share > 0)
+    forward = _cross(component, across) / width
+    half_length = CASSIE.skeleton.geoms["left_foot"].size[1]
+    above = (share.abs() <= LARGEST_SHARE) & (forward.abs() <= half_length)
+    return Balance((width >= LEAST_WIDTH) & above, share > 0)
 
 
 _READ: Final = ("orientation", "velocity", "motor_position", "joint_position")
@@ -83,12 +82,12 @@ def _cross(first: Tensor, second: Tensor) -> Tensor:
     return a * d - b * c
 
 
-def _sole_ends(motor_position: Tensor, joint_position: Tensor, robot: Robot) -> Tensor:
+def _sole_ends(motor_position: Tensor, joint_position: Tensor) -> Tensor:
     """Heel and toe ends (*b, 2, 2, 3) of the soles' axes, left first [m, pelvis].
 
     It is `LegKinematics` in PyTorch, which exporters can trace.
     """
-    at = _constants(robot)
+    at = _constants()
     motors = motor_position.unflatten(-1, (2, 5))
     joints = joint_position.unflatten(-1, (2, 3))
     # of the hinges of the leg's plane; the foot's angle is that of its motor
@@ -134,8 +133,8 @@ class _Constants(NamedTuple):
 
 
 @cache
-def _constants(robot: Robot) -> _Constants:
-    chains = leg_chains(robot)
+def _constants() -> _Constants:
+    chains = leg_chains(CASSIE)
 
     def both(name: str) -> Tensor:
         values = torch.from_numpy(np.stack([getattr(chain, name) for chain in chains]))

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import (
-    Any,
-    ClassVar,
-    Self,
-    cast,
-)
+from typing import Any, ClassVar, Self, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -41,32 +35,18 @@ class SeededTransform(Transform):
     Args:
         in_keys: entries that the transform reads.
         out_keys: entries that the transform writes.
-
-    Raises:
-        ConfigurationError: the keys are a string, or their number is not that of the class.
     """
 
-    num_in_keys: ClassVar[int | None] = None
-    """Number of keys that the class reads; None for any."""
-    num_out_keys: ClassVar[int | None] = None
-    """Number of keys that the class writes; None for any."""
     needs_env: ClassVar[str] = ""
     """Reason why the class acts in environments only; empty if it does not."""
 
     @on_cpu_in_single
     def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
-        for which, keys in (("in_keys", in_keys), ("out_keys", out_keys)):
-            self._check_keys(which, keys, getattr(self, f"num_{which}"))
-        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        super().__init__(
+            *([keys] if isinstance(keys, str) else list(keys) for keys in (in_keys, out_keys))
+        )
         self.generator = torch.Generator()
         self.set_seed(self.generator.seed())
-
-    def _check_keys(self, which: str, keys: object, number: int | None) -> None:
-        kind = type(self).__name__
-        if isinstance(keys, str) or not isinstance(keys, Sequence):
-            raise ConfigurationError(f"{which} of {kind} must be a list of keys, got {keys!r}")
-        if number is not None and len(keys) != number:
-            raise ConfigurationError(f"{which} of {kind} must be {number} keys, got {keys!r}")
 
     @on_cpu_in_single
     def clone(self) -> Self:
@@ -137,18 +117,6 @@ class SeededTransform(Transform):
             spec[key] = getattr(self, f"transform_{kind}_spec")(spec[key])
         return [spec[f"full_{kind}_spec"] for kind in kinds]
 
-    def _draw_into_reset(
-        self, tensordict: TensorDictBase, key: NestedKey, draw: torch.Tensor
-    ) -> TensorDictBase:
-        """Put `draw` into the request for a reset, unless the caller chose a value.
-
-        A request with a `_reset` mask holds the values of the previous episode, not choices of the
-        caller.
-        """
-        if tensordict.get(key, None) is None or "_reset" in tensordict:
-            tensordict.set(key, draw)
-        return tensordict
-
     def _request(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         """Request for a reset; if the caller made none, an empty one, which chooses no values."""
         if tensordict is not None:
@@ -158,6 +126,62 @@ class SeededTransform(Transform):
         if parent is None:
             raise RuntimeError(f"{type(self).__name__} needs an environment; add it to one first")
         return TensorDict(batch_size=parent.batch_size)
+
+
+class ChosenAtReset(SeededTransform):
+    """Base class of transforms that draw entries at resets, unless a caller chooses them.
+
+    A caller chooses an entry by passing it to the reset, or by writing it between steps. TorchRL
+    prepares resets from the last transform of a stack to the first, so that a transform finds the
+    entries of later ones in the request. A subclass implements `_drawn` and `_step`.
+
+    Args:
+        in_keys: entries that the transform reads.
+        sizes: entry (n, k) that it writes -> k.
+    """
+
+    def __init__(self, in_keys: Sequence[NestedKey], sizes: Mapping[NestedKey, int]) -> None:
+        super().__init__(in_keys, list(sizes))
+        self._sizes = dict(sizes)
+
+    def _drawn(self, request: TensorDictBase) -> Mapping[NestedKey, torch.Tensor]:
+        """Values for a reset of all robots."""
+        raise NotImplementedError
+
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        """Check the values of a request, drawn or chosen; return the request."""
+        return request
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        request = self._request(tensordict)
+        for key, value in self._drawn(request).items():
+            draw_into_reset(request, key, value)
+        return self._accept(request)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        for key in self.out_keys:
+            tensordict_reset.set(key, tensordict[key])
+        return tensordict_reset
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the entries."""
+        return extend_spec(observation_spec, self._sizes)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the entries as ones that a caller may set."""
+        return extend_spec(state_spec, self._sizes)
+
+
+def draw_into_reset(request: TensorDictBase, key: NestedKey, draw: torch.Tensor) -> None:
+    """Put `draw` into the request for a reset, unless the caller chose a value.
+
+    A request with a `_reset` mask holds the values of the previous episode, not choices of the
+    caller.
+    """
+    if request.get(key, None) is None or "_reset" in request:
+        request.set(key, draw)
 
 
 def reset_rows(request: TensorDictBase) -> torch.Tensor | None:
@@ -181,33 +205,6 @@ def spread(value: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
     return value[nearest].unflatten(0, rows.shape)
 
 
-def check_number(
-    name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
-) -> float:
-    """Check that a setting is a finite number from `low` to `high`, and return it as a float.
-
-    Args:
-        name: name of the setting, for the message.
-        value: number to check.
-        low: least value.
-        high: greatest value.
-        what: meaning and unit, for the message.
-
-    Raises:
-        ConfigurationError: `value` is no such number.
-    """
-    real = isinstance(value, Real) and not isinstance(value, bool)
-    number = float(value) if real else math.nan
-    if not math.isfinite(number) or not low <= number <= high:
-        limits = [f"of at least {low:g}"] * (low > -math.inf) + [f"of at most {high:g}"] * (
-            high < math.inf
-        )
-        told = " ".join(["a finite number", " and ".join(limits)]).strip()
-        meaning = f" ({what})" if what else ""
-        raise ConfigurationError(f"{name} must be {told}{meaning}, got {value!r}")
-    return number
-
-
 def check_interval(interval: Any) -> float:
     """Mean time between random events, which may be infinite [s].
 
@@ -215,12 +212,11 @@ def check_interval(interval: Any) -> float:
         ConfigurationError: it is no number, or shorter than a policy step.
     """
     real = isinstance(interval, Real) and not isinstance(interval, bool)
-    number = float(interval) if real else math.nan
-    if not number >= CASSIE.policy_period:
+    if not real or not float(interval) >= CASSIE.policy_period:
         raise ConfigurationError(
             f"interval must be at least one policy step, {CASSIE.policy_period} s, got {interval!r}"
         )
-    return number
+    return float(interval)
 
 
 def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:

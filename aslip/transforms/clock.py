@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import cast
 
 import torch
@@ -13,10 +12,16 @@ from torchrl.data import Composite
 
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
+from aslip.transforms.base import (
+    ChosenAtReset,
+    SeededTransform,
+    checked_column,
+    extend_spec,
+    require_keys,
+)
 
 
-class PhaseClock(SeededTransform):
+class PhaseClock(ChosenAtReset):
     r"""Advance the phase, the stride fraction in [0, 1), by time; draw it at each reset.
 
     .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
@@ -26,50 +31,26 @@ class PhaseClock(SeededTransform):
 
     Args:
         library: gaits, which give the stride duration T at command v.
-        in_keys: key of the command (n, c).
-        out_keys: key of the phase (n, 1).
+        command_key: key of the command (n, c).
     """
 
-    num_in_keys, num_out_keys = 1, 1
     needs_env = "it draws phases at resets"
 
-    def __init__(
-        self,
-        library: GaitLibrary,
-        *,
-        in_keys: Sequence[NestedKey] = ("command",),
-        out_keys: Sequence[NestedKey] = ("phase",),
-    ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    def __init__(self, library: GaitLibrary, command_key: NestedKey = "command") -> None:
+        super().__init__([command_key], {"phase": 1})
         self.library = library
 
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
-        shape = (*tensordict.batch_size, 1)
-        draw = torch.rand(shape, generator=self.generator, dtype=torch.float32)
-        key = self.out_keys[0]
-        tensordict = self._draw_into_reset(tensordict, key, draw)
-        return tensordict.set(key, checked_column(tensordict, key) % 1.0)
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        return {"phase": torch.rand((*request.batch_size, 1), generator=self.generator)}
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        return request.set("phase", checked_column(request, "phase") % 1.0)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # a caller may have overwritten phase and command, even with integers
         command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
-        phase = checked_column(tensordict, self.out_keys[0])
-        following = advance_phase(self.library, phase, command)
-        return next_tensordict.set(self.out_keys[0], following)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the phase."""
-        return extend_spec(observation_spec, {self.out_keys[0]: 1})
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the phase as an entry that a caller may set."""
-        return extend_spec(state_spec, {self.out_keys[0]: 1})
+        phase = checked_column(tensordict, "phase")
+        return next_tensordict.set("phase", advance_phase(self.library, phase, command))
 
 
 def advance_phase(library: GaitLibrary, phase: Tensor, command: Tensor) -> Tensor:
@@ -90,27 +71,14 @@ def clock_entries(phase: Tensor) -> dict[str, Tensor]:
 
 
 class ClockInput(SeededTransform):
-    """Write sine and cosine of the phase, as inputs of a policy.
+    """Write sine and cosine (n, 1) of the phase, `("clock", ...)`, as inputs of a policy."""
 
-    Args:
-        in_keys: key of the phase (n, 1).
-        out_keys: keys of sine and cosine (n, 1).
-    """
-
-    num_in_keys, num_out_keys = 1, 2
-
-    def __init__(
-        self,
-        *,
-        in_keys: Sequence[NestedKey] = ("phase",),
-        out_keys: Sequence[NestedKey] = (("clock", "sin"), ("clock", "cos")),
-    ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    def __init__(self) -> None:
+        super().__init__(["phase"], [("clock", "sin"), ("clock", "cos")])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        entries = clock_entries(cast("Tensor", next_tensordict[self.in_keys[0]]))
-        for key, entry in zip(self.out_keys, entries.values(), strict=True):
-            next_tensordict.set(key, entry)
+        for name, entry in clock_entries(cast("Tensor", next_tensordict["phase"])).items():
+            next_tensordict.set(("clock", name), entry)
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

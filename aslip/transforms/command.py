@@ -6,21 +6,21 @@ import math
 from collections.abc import Sequence
 from typing import Final, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import TINY, check_number
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.transforms.base import (
+    ChosenAtReset,
     SeededTransform,
     check_interval,
-    check_number,
     checked_column,
     extend_spec,
     require_keys,
@@ -32,49 +32,37 @@ COMMAND_RATES: Final = (1.0, 0.75, 1.0)
 _REDRAWS: Final = 100  # largest number of draws for a region that is no box
 
 
-class RandomCommand(SeededTransform):
+class RandomCommand(ChosenAtReset):
     """Draw the command at each reset, and at random times if `interval` is finite.
 
-    To set the command yourself, write `td["command"]` between steps, or pass it to `env.reset`. A
-    new command changes the next reference that the policy sees, and the rewards from the step
-    after; the phase does not jump. A partial reset (with a `_reset` mask) draws new commands for
-    the reset robots only. Subclasses choose the distribution: override `draw`.
+    The command (n, c) is forward speed, sideways speed [m/s] and yaw rate [rad/s]. To set it
+    yourself, write `td["command"]` between steps, or pass it to `env.reset`. A new command changes
+    the next reference that the policy sees, and the rewards from the step after; the phase does not
+    jump. A partial reset (with a `_reset` mask) draws new commands for the reset robots only.
+    Subclasses choose the distribution: override `draw`.
 
     Args:
         library: gaits, whose region bounds the command and whose c axes give its size.
         interval: mean time between changes within an episode [s]; each policy step has the same
             probability of a change. By default the command is constant in an episode.
-        out_keys: key of the command (n, c): forward speed, sideways speed [m/s], yaw rate [rad/s].
 
     Raises:
         SpeedOutOfRangeError: a command is outside the region of the library.
         ConfigurationError: `interval` is shorter than a policy step.
     """
 
-    num_in_keys, num_out_keys = 0, 1
     needs_env = "it draws commands at resets"
 
-    def __init__(
-        self,
-        library: GaitLibrary,
-        interval: float = math.inf,
-        *,
-        out_keys: Sequence[NestedKey] = ("command",),
-    ) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+    def __init__(self, library: GaitLibrary, interval: float = math.inf) -> None:
+        super().__init__([], {"command": library.command_size})
         self.interval = check_interval(interval)
         self.library = library
 
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
-        draw = self.draw(self._shape(tensordict))
-        tensordict = self._draw_into_reset(tensordict, self.out_keys[0], draw)
-        return tensordict.set(self.out_keys[0], self._checked(tensordict))
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        return {"command": self.draw(self._shape(request))}
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        return request.set("command", self._checked(request))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self._checked(tensordict)
@@ -82,14 +70,14 @@ class RandomCommand(SeededTransform):
             chance = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
             changes = chance < CASSIE.policy_period / self.interval
             command = torch.where(changes, self.draw(self._shape(tensordict)), command)
-        return next_tensordict.set(self.out_keys[0], command)
+        return next_tensordict.set("command", command)
 
     def _shape(self, tensordict: TensorDictBase) -> tuple[int, ...]:
         return (*tensordict.batch_size, self.library.command_size)
 
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
         """Command in the region of the library."""
-        command = checked_column(tensordict, self.out_keys[0], self.library.command_size)
+        command = checked_column(tensordict, "command", self.library.command_size)
         outside = ~self.library.covers(command)[..., 0]
         if outside.any():
             self.library.check_command(command[outside][0].tolist())
@@ -103,14 +91,6 @@ class RandomCommand(SeededTransform):
         """
         raise NotImplementedError
 
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the command."""
-        return extend_spec(observation_spec, {self.out_keys[0]: self.library.command_size})
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the command as an entry that a caller may set."""
-        return extend_spec(state_spec, {self.out_keys[0]: self.library.command_size})
-
 
 class SpeedCommand(RandomCommand):
     """Draw the commanded forward speed (n, 1) from a list; see `RandomCommand`.
@@ -120,7 +100,6 @@ class SpeedCommand(RandomCommand):
         speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
             trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
         interval: mean time between changes within an episode [s]; infinite in the paper.
-        out_keys: key of the command (n, 1) [m/s].
 
     Raises:
         SpeedOutOfRangeError: a speed, or later a command, is outside the library's range.
@@ -134,10 +113,8 @@ class SpeedCommand(RandomCommand):
         library: GaitLibrary,
         speeds: Sequence[float] | None = None,
         interval: float = math.inf,
-        *,
-        out_keys: Sequence[NestedKey] = ("command",),
     ) -> None:
-        super().__init__(library, interval, out_keys=out_keys)
+        super().__init__(library, interval)
         if library.command_size > 1:
             raise ConfigurationError(
                 "SpeedCommand draws forward speeds only, and commands of this library have"
@@ -170,7 +147,6 @@ class VelocityCommand(RandomCommand):
         straight: share of commands without sideways speed and yaw rate.
         turning: share of commands with a yaw rate only.
         in_place: share of zero commands.
-        out_keys: key of the command (n, c).
 
     Raises:
         SpeedOutOfRangeError: a share is positive and the zero command is outside the region; later,
@@ -188,9 +164,8 @@ class VelocityCommand(RandomCommand):
         straight: float = 0.2,
         turning: float = 0.1,
         in_place: float = 0.05,
-        out_keys: Sequence[NestedKey] = ("command",),
     ) -> None:
-        super().__init__(library, interval, out_keys=out_keys)
+        super().__init__(library, interval)
         shares = {"straight": straight, "turning": turning, "in_place": in_place}
         shares = {name: check_number(name, share, 0, 1) for name, share in shares.items()}
         self.straight, self.turning, self.in_place = shares.values()
@@ -228,29 +203,21 @@ class VelocityCommand(RandomCommand):
 class CommandFilter(SeededTransform):
     """Limit the rate of the command that clock, reference and path follow.
 
-    When the command jumps, the reference does not. The filtered command starts at the command, and
-    moves straight towards it, so it stays in a convex region. `command` stays as the caller wrote
-    it.
+    When the command jumps, the reference does not. `filtered_command` (n, c) starts at the command,
+    and moves straight towards it, so it stays in a convex region. `command` stays as the caller
+    wrote it.
 
     Args:
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
-        in_keys: key of the command (n, c).
-        out_keys: key of the filtered command (n, c).
 
     Raises:
         ConfigurationError: a rate is not a positive finite number.
     """
 
-    num_in_keys, num_out_keys = 1, 1
+    _reads: tuple[NestedKey, ...] = ("command",)
 
-    def __init__(
-        self,
-        rates: Sequence[float] = COMMAND_RATES,
-        *,
-        in_keys: Sequence[NestedKey] = ("command",),
-        out_keys: Sequence[NestedKey] = ("filtered_command",),
-    ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    def __init__(self, rates: Sequence[float] = COMMAND_RATES) -> None:
+        super().__init__(self._reads, ["filtered_command"])
         self.rates = checked_rates(rates)
 
     def _reset(
@@ -293,15 +260,10 @@ def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
     Raises:
         ConfigurationError: a rate is not a positive finite number.
     """
-    least = float(np.finfo(np.float32).tiny)
-    return tuple(check_number("a rate", rate, least, what="per s^2") for rate in rates)
+    return tuple(check_number("a rate", rate, TINY, what="per s^2") for rate in rates)
 
 
-def approach_command(
-    past: Tensor,
-    command: Tensor,
-    rates: Sequence[float] | Tensor,
-) -> Tensor:
+def approach_command(past: Tensor, command: Tensor, rates: Sequence[float] | Tensor) -> Tensor:
     """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
     Args:
@@ -309,7 +271,8 @@ def approach_command(
         command: (*b, c) command to approach.
         rates: largest rate of each component, for all or (*b, c or more) [m/s^2, rad/s^2].
     """
-    way = command - past
-    limit = CASSIE.policy_period * torch.as_tensor(rates, dtype=way.dtype)[..., : way.shape[-1]]
-    steps = (way.abs() / limit).amax(-1, keepdim=True)
-    return torch.where(steps <= 1, command, past + way / steps.clamp(min=1))
+    change = command - past
+    rates = torch.as_tensor(rates, dtype=change.dtype)
+    limit = CASSIE.policy_period * rates[..., : change.shape[-1]]
+    steps = (change.abs() / limit).amax(-1, keepdim=True)
+    return torch.where(steps <= 1, command, past + change / steps.clamp(min=1))

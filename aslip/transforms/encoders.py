@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import cast
 
 import torch
@@ -11,9 +10,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.errors import ConfigurationError
+from aslip.base.checks import check_number
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
 
 
@@ -24,22 +23,20 @@ class EncoderOffsets(SeededTransform):
 
     A motor at angle q reads q + b. Estimator and policy observe that reading, and so does the PD
     loop on the robot: it tracks a target t with the motor at t - b. The transform adds b to the
-    readings, and takes it from the motor targets of the simulated robot, which is the same.
+    readings, and subtracts it from the motor targets of the simulated robot, which is equivalent.
 
     Must come after `ObservationNoise`, before the estimator and before `ActionDelta`.
 
     Args:
         largest: largest offset [rad]; offsets are uniform from minus to plus that.
         share: probability with which a robot has offsets; else they are zero.
-        in_keys: key of the motor readings (n, W, m) [rad], and, if any, of the difficulty (n, 1),
-            see `aslip.transforms.Difficulty`, which scales the offsets.
+        difficulty_key: key of the difficulty (n, 1) that scales the offsets, see
+            `aslip.transforms.Difficulty`.
 
     Raises:
-        ConfigurationError: `largest` is negative, `share` not from 0 to 1, or there are neither one
-            nor two keys to read.
+        ConfigurationError: `largest` is negative, or `share` not from 0 to 1.
     """
 
-    num_out_keys = 1
     needs_env = "it draws offsets at resets"
 
     def __init__(
@@ -47,13 +44,10 @@ class EncoderOffsets(SeededTransform):
         largest: float = 0.01,
         *,
         share: float = 1.0,
-        in_keys: Sequence[NestedKey] = (("sensors", "motor_position"),),
+        difficulty_key: NestedKey | None = None,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=["motor_offset"])
-        if not 1 <= len(in_keys) <= 2:
-            raise ConfigurationError(
-                f"in_keys must be those of readings and, if any, of the difficulty, got {in_keys!r}"
-            )
+        super().__init__([("sensors", "motor_position")], ["motor_offset"])
+        self.difficulty_key = difficulty_key
         self.in_keys_inv, self.out_keys_inv = ["motor_target"], ["motor_target"]
         self.largest = check_number("largest", largest, 0.0, what="in rad")
         self.share = check_number("share", share, 0, 1)
@@ -64,7 +58,7 @@ class EncoderOffsets(SeededTransform):
         shape = (*tensordict_reset.batch_size, len(CASSIE.motor_names))
         offset = self.largest * (2 * torch.rand(shape, generator=self.generator) - 1)
         drawn = torch.rand((*shape[:-1], 1), generator=self.generator) < self.share
-        offset = offset * drawn * difficulty_of(tensordict, self.in_keys[1:])
+        offset = offset * drawn * difficulty_of(tensordict, self.difficulty_key)
         return self._read(tensordict_reset, offset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -82,5 +76,5 @@ class EncoderOffsets(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the offsets."""
-        require_keys(self, observation_spec, self.in_keys[:1])
+        require_keys(self, observation_spec, self.in_keys)
         return extend_spec(observation_spec, {self.out_keys[0]: len(CASSIE.motor_names)})

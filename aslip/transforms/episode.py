@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from numbers import Integral
-
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
-from aslip.errors import ConfigurationError
+from aslip.base.checks import check_count, check_number
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, check_number
+from aslip.transforms.base import SeededTransform
 
 
 class FirstStep(SeededTransform):
@@ -22,8 +20,6 @@ class FirstStep(SeededTransform):
     policy. It does what TorchRL's `InitTracker` does, but is faster to add to an environment:
     `InitTracker` computes the specs of the whole stack again.
     """
-
-    num_in_keys, num_out_keys = 0, 1
 
     def __init__(self) -> None:
         super().__init__(in_keys=[], out_keys=["is_init"])
@@ -52,8 +48,6 @@ class FirstStep(SeededTransform):
 class _Termination(SeededTransform):
     """Terminate an episode, so that no value is bootstrapped, if a condition holds after a step."""
 
-    num_in_keys = 1
-
     def __init__(self, key: NestedKey) -> None:
         super().__init__(in_keys=[key], out_keys=["terminated", "done"])
 
@@ -67,12 +61,6 @@ class _Termination(SeededTransform):
         for key in self.out_keys:
             next_tensordict.set(key, torch.as_tensor(next_tensordict[key] | over))
         return next_tensordict
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
 
 
 class LowReward(_Termination):
@@ -89,10 +77,7 @@ class LowReward(_Termination):
         ConfigurationError: `threshold` is not a finite number.
     """
 
-    def __init__(
-        self,
-        threshold: float = 0.3,
-    ) -> None:
+    def __init__(self, threshold: float = 0.3) -> None:
         super().__init__("reward")
         self.threshold = check_number("threshold", threshold)
 
@@ -115,10 +100,7 @@ class Fall(_Termination):
         ConfigurationError: `height` is not a finite number.
     """
 
-    def __init__(
-        self,
-        height: float = CASSIE.fall_height,
-    ) -> None:
+    def __init__(self, height: float = CASSIE.fall_height) -> None:
         super().__init__(("truth", "pelvis_position"))
         self.height = check_number("height", height, what="of the pelvis [m]")
 
@@ -144,19 +126,11 @@ class StaggeredEnds(SeededTransform):
         ConfigurationError: `max_steps` is not a whole number of 1 or more.
     """
 
-    num_out_keys = 1
     needs_env = "it draws the lengths of episodes at resets"
 
-    def __init__(
-        self,
-        max_steps: int,
-    ) -> None:
+    def __init__(self, max_steps: int) -> None:
         super().__init__(in_keys=["truncated", "done"], out_keys=["stagger"])
-        if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 1:
-            raise ConfigurationError(
-                f"max_steps must be a whole number of 1 or more, got {max_steps!r}"
-            )
-        self.max_steps = int(max_steps)
+        self.max_steps = check_count("max_steps", max_steps)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

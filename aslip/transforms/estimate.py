@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -13,13 +13,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
-from aslip.estimation import (
-    FAULTS,
-    Estimate,
-    StateEstimator,
-    Tracking,
-    tracking_size,
-)
+from aslip.estimation import FAULTS, Estimate, StateEstimator, Tracking, tracking_size
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
 from aslip.transforms.path import advance_frame, place_in_path
@@ -68,14 +62,13 @@ _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
 class _Estimator(SeededTransform):
     """Base class of transforms that write estimate and odometry under their first two keys."""
 
-    _robot = CASSIE
     _path = False
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
         along = PATH_SIZES if self._path else {}
-        groups = (self._robot.estimate_sizes, {**ODOMETRY_SIZES, **along})
+        groups = (ESTIMATE_SIZES, {**ODOMETRY_SIZES, **along})
         for key, sizes in zip(self.out_keys, groups, strict=False):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)
@@ -86,17 +79,12 @@ class TrueState(_Estimator):
     """Write the truth as the estimate, as a perfect estimator would.
 
     Reads `("truth", ...)` and `("true_odometry", ...)`, so it must come after `HeadingFrame`.
-
-    Args:
-        out_keys: keys of estimate and odometry.
     """
 
-    num_out_keys = 2
-
-    def __init__(self, *, out_keys: Sequence[NestedKey] = ("estimate", "odometry")) -> None:
+    def __init__(self) -> None:
         keys: set[NestedKey] = {("true_odometry", name) for name in ODOMETRY_SIZES}
         keys.update(_TRUTH_OF.values())
-        super().__init__(in_keys=sorted(keys, key=str), out_keys=out_keys)
+        super().__init__(sorted(keys, key=str), ["estimate", "odometry"])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ODOMETRY_SIZES` and, along a path, of `PATH_SIZES`."""
@@ -129,14 +117,13 @@ class EstimatedState(_Estimator):
     `HeadingFrame` does; it has the entries of `PATH_SIZES`, too.
 
     Args:
-        estimator: state estimator, whose robot gives the sizes of the entries.
+        estimator: state estimator of Cassie.
         command_key: key of the command (n, c) whose path the odometry follows; None for odometry
             from the start.
-        mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it;
+        mode_key: key of the mode (n, 1) of robots with a stand command, as `StandClock` writes it;
             stops move the origin of the odometry to the pelvis.
     """
 
-    num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
     needs_env = "the estimator tracks robots from their resets on"
 
     def __init__(
@@ -151,11 +138,10 @@ class EstimatedState(_Estimator):
         self._command_key, self._mode_key = command_key, mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
-        self._robot = self.estimator.robot
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
-        tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
+        tracking = Tracking.from_rows(memory.numpy())
         origin = None
         if self._command_key is not None:
             before = tensordict.get("heading", None)
@@ -183,8 +169,8 @@ class EstimatedState(_Estimator):
         if heading is not None:
             heading = heading.double().numpy()
         origin = torch.zeros(len(packets), 3) if self._path else None
-        begun = self.estimator.start(packets, heading)
-        started = self._grouped(estimate_entries(*begun, origin))
+        tracking, estimate = self.estimator.start(packets, heading)
+        started = self._grouped(estimate_entries(tracking, estimate, origin))
         if rows is None:
             return tensordict_reset.update(started)
         for key, value in started.items(True, True):
@@ -207,7 +193,7 @@ class EstimatedState(_Estimator):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""
         spec = super().transform_observation_spec(observation_spec)
-        shape, size = tuple(spec.shape), tracking_size(self.estimator.robot)
+        shape, size = tuple(spec.shape), tracking_size()
         spec[self.out_keys[2]] = Composite(
             memory=Unbounded(torch.Size((*shape, size)), dtype=torch.float64),
             faults=Binary(shape=torch.Size((*shape, len(FAULTS))), dtype=torch.bool),
@@ -255,7 +241,7 @@ def estimate_entries(
         estimate: its estimate.
         origin: (n, 3) origin of the odometry if it moves along a path [m, frame of the IMU's
             attitude]; None for odometry from the start.
-        mode: (n, 1) values of `WalkMode`, if the robots stand on a wish.
+        mode: (n, 1) values of `WalkMode`, if the robots have a stand command.
     """
     odometry = {
         "pelvis_position": estimate.position,
@@ -291,9 +277,9 @@ def _along_path(
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
     heading = torch.from_numpy(tracking.heading)[:, None].float()
-    way = rotate_about_vertical(origin, -heading)
+    shift = rotate_about_vertical(origin, -heading)
     moved = {
-        name: value - way if name.endswith("_position") else value
+        name: value - shift if name.endswith("_position") else value
         for name, value in odometry.items()
     }
     return place_in_path(moved, origin, heading, mode=mode)

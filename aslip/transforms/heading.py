@@ -14,12 +14,7 @@ from torchrl.data import Composite
 from aslip.robot import SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
-from aslip.transforms.path import (
-    advance,
-    advance_heading,
-    move_origin,
-    place_in_path,
-)
+from aslip.transforms.path import advance, advance_heading, move_origin, place_in_path
 from aslip.transforms.rotation import (
     conjugate,
     heading_to_world,
@@ -61,10 +56,9 @@ class HeadingFrame(SeededTransform):
     Args:
         command_key: key of the command (n, c) whose path the frame follows; None for a frame at
             rest.
-        mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
+        mode_key: key of the mode (n, 1) of robots with a stand command, as `StandClock` writes it.
     """
 
-    num_out_keys = 2
     needs_env = "it reads the headings of robots at resets"
 
     def __init__(

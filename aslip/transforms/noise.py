@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from numbers import Real
-from typing import cast
+from typing import Any, Final, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -15,8 +14,11 @@ from torchrl.data import Composite
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE, NoiseLevel
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
+
+BIAS_TIME: Final = 10.0
+"""Time constant of the bias [s]."""
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in CASSIE.noise_channels)
 _FACTOR_KEY = ("dynamics", "sensor_noise")
@@ -45,39 +47,25 @@ class ObservationNoise(SeededTransform):
 
     Args:
         levels: sensor -> level, which replaces that of `Robot.sensor_noise`.
-        scale: factor on all levels; 0 is a robot without noise.
-        bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
 
     Raises:
         UnknownNameError: a level is for a sensor that the robot lacks.
-        ConfigurationError: a level lacks one value per channel, `scale` is negative or not finite,
-            or `bias_time` is not positive.
+        ConfigurationError: a level lacks one value per channel.
     """
 
     needs_env = "it draws biases at resets, and each robot keeps its own"
 
     @on_cpu_in_single
-    def __init__(
-        self,
-        levels: Mapping[str, NoiseLevel] | None = None,
-        scale: float = 1.0,
-        bias_time: float = 10.0,
-    ) -> None:
+    def __init__(self, levels: Mapping[str, NoiseLevel] | None = None) -> None:
         super().__init__(in_keys=_SENSOR_KEYS, out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
-        scale = check_number("scale", scale, low=0)
-        number = isinstance(bias_time, Real) and not isinstance(bias_time, bool)
-        if not number or not bias_time > 0:
-            raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
         self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
-        self._decay = math.exp(-CASSIE.policy_period / bias_time)
-        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / bias_time))
+        self._decay = math.exp(-CASSIE.policy_period / BIAS_TIME)
+        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / BIAS_TIME))
         # settings, so not stored in checkpoints
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
         for sensor, channels in CASSIE.noise_channels.items():
-            white, bias = (
-                scale * _row(getattr(self.levels[sensor], name), channels)
-                for name in ("white", "bias")
-            )
+            level = self.levels[sensor]
+            white, bias = (_row(value, channels) for value in (level.white, level.bias))
             if white.any() or bias.any():
                 self._levels[sensor] = white, bias
 
@@ -179,7 +167,7 @@ def _normal(shape: Sequence[int], generator: torch.Generator) -> Tensor:
     return torch.randn(*shape, generator=generator, dtype=torch.float32)
 
 
-def _row(value: float | tuple[float, ...], channels: int) -> Tensor:
+def _row(value: Any, channels: int) -> Tensor:
     """(channels,) values, of one for all channels or one for each."""
     return torch.tensor(value, dtype=torch.float32).expand(channels)
 

@@ -80,8 +80,6 @@ class AssembleObservation(SeededTransform):
         out_keys: key of the concatenated entry.
     """
 
-    num_out_keys = 1
-
     def __init__(
         self,
         in_keys: Sequence[NestedKey] = OBSERVATION_TABLE,

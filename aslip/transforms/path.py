@@ -27,7 +27,7 @@ stop the origin is below the pelvis, so that the robot stands where it comes to 
 
 LEASH_TIME: Final = 1.0
 """Time constant with which a taut leash shortens [s]. At an error v of the mean velocity, the
-distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
+distance settles at `LEASH` + v x `LEASH_TIME`, and so shows how large the error is."""
 
 
 def advance_heading(heading: Tensor, command: Tensor) -> Tensor:
@@ -100,28 +100,25 @@ def arc(command: Tensor) -> Tensor:
 
 
 def move_origin(
-    origin: Tensor, heading: Tensor, way: Tensor, slope: Tensor | None = None
+    origin: Tensor, heading: Tensor, displacement: Tensor, slope: Tensor | None = None
 ) -> Tensor:
     """Origin (*b, 3) after a displacement along the ground [m, world].
 
     Args:
         origin: (*b, 3) point on the floor [m, world].
         heading: (*b, 1) yaw of the heading frame [rad].
-        way: (*b, 3) level displacement [m, heading frame].
+        displacement: (*b, 3) level displacement [m, heading frame].
         slope: (*b, 1) slope of the floor, the world's xy plane [rad]; level by default.
     """
     slope = torch.zeros_like(heading) if slope is None else slope
     from_world = conjugate(heading_to_world(slope, heading))
-    moved = origin + rotate_inverse(from_world, way)
+    moved = origin + rotate_inverse(from_world, displacement)
     # back to the floor along gravity, which keeps x and y in the heading frame
     up = torch.cat([slope.sin(), torch.zeros_like(slope), slope.cos()], dim=-1)
     return moved - up * (moved[..., 2:] / up[..., 2:])
 
 
-def dragged(
-    pelvis_position: Tensor,
-    mode: Tensor | None = None,
-) -> Tensor:
+def dragged(pelvis_position: Tensor, mode: Tensor | None = None) -> Tensor:
     """Level displacement (*b, 3) of the origin by the leash in a policy step [m, heading frame].
 
     Args:
@@ -132,8 +129,8 @@ def dragged(
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
     taut = 1 - LEASH / distance.clamp(min=LEASH)
-    way = level * taut * (CASSIE.policy_period / LEASH_TIME)
-    return way if mode is None else torch.where(mode == WalkMode.STOP, level, way)
+    drag = level * taut * (CASSIE.policy_period / LEASH_TIME)
+    return drag if mode is None else torch.where(mode == WalkMode.STOP, level, drag)
 
 
 def place_in_path(
@@ -156,13 +153,13 @@ def place_in_path(
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
         distance of the pelvis from the origin [m, heading frame].
     """
-    way = dragged(entries["pelvis_position"], mode)
+    drag = dragged(entries["pelvis_position"], mode)
     placed = {
-        name: value - way if name.endswith("_position") else value
+        name: value - drag if name.endswith("_position") else value
         for name, value in entries.items()
     }
     error = placed["pelvis_position"][..., :2].clone()
-    return {**placed, "origin": move_origin(origin, heading, way, slope), "path_error": error}
+    return {**placed, "origin": move_origin(origin, heading, drag, slope), "path_error": error}
 
 
 def _complete(command: Tensor) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import cast
 
 import torch
@@ -12,14 +11,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.robot import CASSIE
-from aslip.transforms.base import (
-    SeededTransform,
-    check_interval,
-    check_number,
-    extend_spec,
-    require_keys,
-)
+from aslip.transforms.base import SeededTransform, check_interval, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
 
 
@@ -36,15 +30,14 @@ class RandomPushes(SeededTransform):
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
-        in_keys: key of the difficulty (n, 1), see `aslip.transforms.Difficulty`, which scales the
-            impulses; or none.
+        difficulty_key: key of the difficulty (n, 1) that scales the impulses, see
+            `aslip.transforms.Difficulty`.
 
     Raises:
         ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
             policy step.
     """
 
-    num_out_keys = 2
     needs_env = "it pushes simulated robots"
 
     def __init__(
@@ -53,9 +46,11 @@ class RandomPushes(SeededTransform):
         interval: float = 5.0,
         duration: float = 0.21,
         *,
-        in_keys: Sequence[NestedKey] = (),
+        difficulty_key: NestedKey | None = None,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=["push", "push_steps"])
+        keys = [] if difficulty_key is None else [difficulty_key]
+        super().__init__(keys, ["push", "push_steps"])
+        self.difficulty_key = difficulty_key
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
         self.interval = check_interval(interval)
         self.duration = check_number("duration", duration, CASSIE.policy_period, what="in s")
@@ -81,7 +76,7 @@ class RandomPushes(SeededTransform):
         begins = (steps == 0) & (chance < CASSIE.policy_period / self.interval)
         angle = 2 * math.pi * turn
         size = share * self.impulse / (self._steps * CASSIE.policy_period)
-        size = size * difficulty_of(tensordict, self.in_keys)
+        size = size * difficulty_of(tensordict, self.difficulty_key)
         drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
         force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))
         next_tensordict.set(self.out_keys[0], force)

@@ -10,12 +10,12 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
-from aslip.transforms.base import SeededTransform, check_number, extend_spec
+from aslip.transforms.base import ChosenAtReset
 from aslip.transforms.curriculum import difficulty_of
 
 DYNAMICS_RANGES: Final = MappingProxyType(
@@ -66,7 +66,7 @@ delays and motors on which policies in all directions are to walk."""
 _GAINS = ("pd_stiffness", "pd_damping")
 
 
-class RandomDynamics(SeededTransform):
+class RandomDynamics(ChosenAtReset):
     """Draw parameters of each robot's dynamics at each of its resets, uniformly within ranges.
 
     Writes them as `("dynamics", name)` (n, 1) in single precision at resets and steps, for logs and
@@ -86,7 +86,7 @@ class RandomDynamics(SeededTransform):
         share: probability with which a parameter is drawn; else it is nominal. With many
             parameters, a small share keeps robots that are extreme in all of them rare, and robots
             that are nominal in most of them frequent.
-        in_keys: key of the difficulty (n, 1), or none.
+        difficulty_key: key of the difficulty (n, 1).
 
     Raises:
         UnknownNameError: there is no such parameter.
@@ -101,7 +101,7 @@ class RandomDynamics(SeededTransform):
         ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES,
         *,
         share: float = 1.0,
-        in_keys: Sequence[NestedKey] = (),
+        difficulty_key: NestedKey | None = None,
     ) -> None:
         if not isinstance(ranges, Mapping):
             raise ConfigurationError(f"ranges must map parameters to (low, high), got {ranges!r}")
@@ -109,53 +109,44 @@ class RandomDynamics(SeededTransform):
             parameter = parameter_named(name)
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise ConfigurationError(f"the range of {name!r} must be (low, high), got {pair!r}")
-            low, high = (check_number(f"a limit of {name!r}", value) for value in pair)
-            if not parameter.low <= low <= high <= parameter.high:
-                raise ConfigurationError(
-                    f"{name} must be drawn from a range within {parameter.low:g} to"
-                    f" {parameter.high:g} ({parameter.meaning}), got {low!r} to {high!r}"
-                )
-        super().__init__(in_keys=in_keys, out_keys=[("dynamics", name) for name in ranges])
+            low, high = (
+                check_number(f"a limit of {name!r}", value, parameter.low, parameter.high)
+                for value in pair
+            )
+            if low > high:
+                raise ConfigurationError(f"the range of {name!r} must be (low, high), got {pair!r}")
+        super().__init__(
+            [] if difficulty_key is None else [difficulty_key],
+            {("dynamics", name): 1 for name in ranges},
+        )
+        self.difficulty_key = difficulty_key
         self.ranges = dict(ranges)
         self.share = check_number("share", share, 0, 1)
 
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
         # a column for every parameter, also for those that are not drawn
         aside = _aside(self.generator)
         others = [name for name in DYNAMICS if name not in _GAINS]
-        columns = _draw(tensordict.batch_size, others, self.generator)
-        columns |= _draw(tensordict.batch_size, _GAINS, aside)
-        chances = _draw(tensordict.batch_size, [*DYNAMICS], aside)
+        columns = _draw(request.batch_size, others, self.generator)
+        columns |= _draw(request.batch_size, _GAINS, aside)
+        chances = _draw(request.batch_size, [*DYNAMICS], aside)
+        difficulty = difficulty_of(request, self.difficulty_key)
+        drawn: dict[NestedKey, Tensor] = {}
         for name, (low, high) in self.ranges.items():
             draw = (low + (high - low) * columns[name]).clamp(low, high)
             nominal = DYNAMICS[name].nominal
-            if self.in_keys:
-                draw = nominal + difficulty_of(tensordict, self.in_keys) * (draw - nominal)
-            draw = torch.where(chances[name] < self.share, draw, nominal)
-            tensordict = self._draw_into_reset(tensordict, ("dynamics", name), draw)
-        return tensordict
+            if self.difficulty_key is not None:
+                draw = nominal + difficulty * (draw - nominal)
+            drawn["dynamics", name] = torch.where(chances[name] < self.share, draw, nominal)
+        return drawn
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return self._carried(tensordict, tensordict_reset)
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        return self._step(request, request)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._carried(tensordict, next_tensordict)
-
-    def _carried(self, tensordict: TensorDictBase, into: TensorDictBase) -> TensorDictBase:
         for key in self.out_keys:
-            into.set(key, cast("Tensor", tensordict[key]).float())
-        return into
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the parameters that are drawn."""
-        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the parameters as entries that a caller may set."""
-        return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
+            next_tensordict.set(key, cast("Tensor", tensordict[key]).float())
+        return next_tensordict
 
 
 def _draw(shape: torch.Size, names: Sequence[str], generator: torch.Generator) -> dict[str, Tensor]:

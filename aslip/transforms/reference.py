@@ -6,21 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Literal, cast, get_args
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
 from aslip.transforms.base import (
     SeededTransform,
-    check_number,
+    draw_into_reset,
     extend_spec,
     require_keys,
     reset_rows,
@@ -55,14 +54,12 @@ class ReferenceInjection(SeededTransform):
         library: gaits.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         in_keys: keys of command (n, c) and phase (n, 1); to stand, too, also of mode (n, 1) and of
-            the wish to stand (n, 1), see `aslip.transforms.StandClock`.
+            the stand command (n, 1), see `aslip.transforms.StandClock`.
         out_keys: keys of reference and goal.
 
     Raises:
         ConfigurationError: `motor_lead` is not a finite number.
     """
-
-    num_out_keys = 2
 
     def __init__(
         self,
@@ -78,7 +75,7 @@ class ReferenceInjection(SeededTransform):
         if len(self.in_keys) not in (2, 4):
             raise ConfigurationError(
                 "in_keys of ReferenceInjection must be those of command and phase, and perhaps of"
-                f" mode and the wish to stand, got {self.in_keys}"
+                f" mode and the stand command, got {self.in_keys}"
             )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -145,11 +142,11 @@ def reference_and_goal(
         phases = torch.stack([phase + lead * CASSIE.policy_period / stride for lead in leads])
     else:
         mode, stand = standing
-        ahead = [
+        later = [
             advance_mode(library, phase, mode, command, stand, lead * CASSIE.policy_period)
             for lead in leads
         ]
-        phases, modes = (torch.stack(part) for part in zip(*ahead, strict=True))
+        phases, modes = (torch.stack(part) for part in zip(*later, strict=True))
     commands = command.expand(*phases.shape[:-1], command.shape[-1])
     found = library.lookup(phases, commands, modes)
     motors = leads.index(motor_lead)
@@ -180,22 +177,14 @@ class Feedforward(SeededTransform):
     robot's weight. A policy would first have to learn to correct both. The torques
     :math:`\hat\tau` come from the leg forces of the reduced-order model.
 
-    Args:
-        stiffness: (m,) gains K_p of the PD loops [N m/rad].
-        damping: (m,) gains K_d [N m s/rad].
+    K_p and K_d are the gains of `Robot.stiffness` and `Robot.damping`.
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
     @on_cpu_in_single
-    def __init__(
-        self,
-        stiffness: ArrayLike = CASSIE.stiffness,
-        damping: ArrayLike = CASSIE.damping,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
         self._stiffness, self._damping = (
-            torch.tensor(np.asarray(gain), dtype=torch.float32) for gain in (stiffness, damping)
+            torch.tensor(gain, dtype=torch.float32) for gain in (CASSIE.stiffness, CASSIE.damping)
         )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -221,11 +210,7 @@ class ReferenceDistance(SeededTransform):
     `reference` and `goal`.
     """
 
-    num_in_keys, num_out_keys = 1, 2
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(["command"], [("reference", "distance"), ("goal", "distance")])
 
     def _reset(
@@ -240,8 +225,8 @@ class ReferenceDistance(SeededTransform):
         return self._written(next_tensordict, distance + CASSIE.policy_period * command)
 
     def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
-        now, ahead = self.out_keys
-        into.set(ahead, distance + CASSIE.policy_period * into[self.in_keys[0]])
+        now, following = self.out_keys
+        into.set(following, distance + CASSIE.policy_period * into[self.in_keys[0]])
         return into.set(now, distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -315,11 +300,6 @@ class ReferenceStart(SeededTransform):
             qpos, qvel = (spread(part, rows) for part in self.library.initial_state(*at))
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
-        tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)
-        return self._draw_into_reset(tensordict, ("initial", "qvel"), qvel)
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
+        draw_into_reset(tensordict, ("initial", "qpos"), qpos)
+        draw_into_reset(tensordict, ("initial", "qvel"), qvel)
+        return tensordict

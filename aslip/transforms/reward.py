@@ -10,8 +10,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.transforms.base import SeededTransform, check_number, extend_spec
+from aslip.transforms.base import SeededTransform, extend_spec
 
 TermFunction = Callable[..., Tensor]
 
@@ -38,8 +39,6 @@ class RewardTerm(SeededTransform):
             `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
     """
 
-    num_out_keys = 1
-
     def __init__(
         self,
         name: str,
@@ -47,16 +46,14 @@ class RewardTerm(SeededTransform):
         next_keys: Sequence[NestedKey],
         root_keys: Sequence[NestedKey] = (),
     ) -> None:
-        if not isinstance(name, str) or not name:
-            raise ConfigurationError(f"name must be a string that is not empty, got {name!r}")
-        if not callable(function):
-            raise ConfigurationError(f"function of {name!r} must be callable, got {function!r}")
-        for which, keys in (("next_keys", next_keys), ("root_keys", root_keys)):
-            if isinstance(keys, str) or not isinstance(keys, Sequence):
-                raise ConfigurationError(f"{which} of {name!r} must be a list, got {keys!r}")
-        if not [*next_keys, *root_keys]:
+        if not (isinstance(name, str) and name and callable(function)):
             raise ConfigurationError(
-                f"the term {name!r} reads nothing; give next_keys or root_keys"
+                f"a reward term needs a name and a function, got {name!r} and {function!r}"
+            )
+        if isinstance(next_keys, str) or isinstance(root_keys, str) or not [*next_keys, *root_keys]:
+            raise ConfigurationError(
+                f"the reward term {name!r} needs lists of the entries that it reads, next_keys or"
+                f" root_keys, got {next_keys!r} and {root_keys!r}"
             )
         super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
         self.function = function
@@ -103,12 +100,7 @@ class WeightedReward(SeededTransform):
         UnknownNameError: the stack has no terms, or one has no weight (raised when added to it).
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
-    def __init__(
-        self,
-        weights: Mapping[str, float],
-    ) -> None:
+    def __init__(self, weights: Mapping[str, float]) -> None:
         super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
         if not isinstance(weights, Mapping) or not weights:
             raise ConfigurationError(
@@ -125,12 +117,6 @@ class WeightedReward(SeededTransform):
         for name, term in next_tensordict[self.in_keys[0]].items():
             reward = reward + self.weights[name] * term
         return next_tensordict.set(self.out_keys[0], reward)
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Check that every term has a weight."""
@@ -155,11 +141,7 @@ class EpisodeSum(SeededTransform):
     `RewardSum` computes the specs of the whole stack twice to find the shape of a reward.
     """
 
-    num_in_keys, num_out_keys = 1, 1
-
-    def __init__(
-        self,
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

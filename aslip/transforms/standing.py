@@ -1,4 +1,4 @@
-"""Standing on a wish: the wish, and the clock of walk, stop, standing and start.
+"""Standing on command: the stand command, and the clock of walk, stop, standing and start.
 
 In a stack, in this order:
 
@@ -22,17 +22,16 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.checks import check_number
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.library.transitions import HALF
 from aslip.robot import CASSIE
 from aslip.transforms.balance import Balance, find_balance
 from aslip.transforms.base import (
-    SeededTransform,
+    ChosenAtReset,
     check_interval,
-    check_number,
     checked_column,
-    extend_spec,
     require_keys,
 )
 from aslip.transforms.command import COMMAND_RATES, CommandFilter
@@ -55,11 +54,11 @@ def advance_mode(
 ) -> tuple[Tensor, Tensor]:
     """Stride fraction (*b, 1) and mode (*b, 1) some time later; see `aslip.library.transitions`.
 
-    A stop begins at a touchdown, if the robot shall stand, steps in place and is steady by then. It
-    ends in standing, which lasts as long as the robot shall stand; then a start leads back to the
-    gait in place. A stop or start that has begun is finished. Changes of mode within the time are
-    exact. A robot that stands and is not steady any more walks on at once, with a step of the foot
-    that it does not lean to.
+    A stop begins at a touchdown, if the stand command is 1 and the robot steps in place and is
+    steady by then. It ends in standing, which lasts as long as the stand command is 1; then a start
+    leads back to the gait in place. A started stop or start is finished. Changes of mode within the
+    time are exact. A robot that stands and is not steady any more walks on at once, with a step of
+    the foot that it does not lean to.
 
     Args:
         library: gaits with transitions.
@@ -122,7 +121,7 @@ def standing_phase(table: TransitionTable, phase: Tensor) -> Tensor:
 
 
 def first_mode(table: TransitionTable, phase: Tensor, stand: Tensor) -> tuple[Tensor, Tensor]:
-    """Phase (*b, 1) and mode (*b, 1) of robots that begin: they stand if they shall, or walk.
+    """Phase (*b, 1) and mode (*b, 1) of robots that start an episode: they stand, or walk.
 
     Args:
         table: stop and start.
@@ -135,7 +134,7 @@ def first_mode(table: TransitionTable, phase: Tensor, stand: Tensor) -> tuple[Te
 
 
 def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
-    """Command (*b, c) of robots that walk and shall walk, zero for the others.
+    """Command (*b, c) of robots that walk without a stand command, zero for the others.
 
     Args:
         command: (*b, c) one value per axis of the library.
@@ -170,7 +169,7 @@ def check_rates_of_stops(rates: Sequence[float]) -> None:
 
 
 def _walks(stand: Tensor, mode: Tensor) -> Tensor:
-    """Whether robots walk and shall walk (*b, 1)."""
+    """Whether robots walk without a stand command (*b, 1)."""
     return (mode == WalkMode.WALK) & (stand <= 0.5)
 
 
@@ -182,181 +181,123 @@ def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:
 
 def _chosen(mode: Tensor, *values: Tensor | float) -> Tensor:
     """Value (*b, 1) of each robot's mode, in double precision."""
-    found = torch.zeros_like(mode, dtype=torch.float64)
+    chosen = torch.zeros_like(mode, dtype=torch.float64)
     for one, value in zip(WalkMode, values, strict=True):
-        found = torch.where(mode == one, torch.as_tensor(value, dtype=found.dtype), found)
-    return found
+        chosen = torch.where(mode == one, torch.as_tensor(value, dtype=chosen.dtype), chosen)
+    return chosen
 
 
-class StandCommand(SeededTransform):
-    """Draw the wish to stand at each reset, and at random times if `interval` is finite.
+class StandCommand(ChosenAtReset):
+    """Draw the stand command at each reset, and at random times if `interval` is finite.
 
-    The wish is `stand` (n, 1): 1 to stand, 0 to walk.
-
-    To choose yourself, write `td["stand"]` between steps, or pass it to `env.reset`. A partial
-    reset (with a `_reset` mask) draws for the reset robots only.
+    It is `stand` (n, 1): 1 to stand, 0 to walk. To choose yourself, write `td["stand"]` between
+    steps, or pass it to `env.reset`. A partial reset (with a `_reset` mask) draws for the reset
+    robots only.
 
     Args:
-        share: share of draws that wish to stand.
+        share: share of draws that are 1.
         interval: mean time between draws within an episode [s].
 
     Raises:
         ConfigurationError: `share` is no share, or `interval` is shorter than a policy step.
     """
 
-    num_in_keys, num_out_keys = 0, 1
-    needs_env = "it draws wishes at resets"
+    needs_env = "it draws stand commands at resets"
 
-    def __init__(
-        self,
-        share: float = 0.1,
-        interval: float = math.inf,
-    ) -> None:
-        super().__init__(in_keys=[], out_keys=["stand"])
+    def __init__(self, share: float = 0.1, interval: float = math.inf) -> None:
+        super().__init__([], {"stand": 1})
         self.share = check_number("share", share, 0, 1)
         self.interval = check_interval(interval)
 
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
-        key, draw = self.out_keys[0], self._draw(tensordict)
-        tensordict = self._draw_into_reset(tensordict, key, draw)
-        return tensordict.set(key, checked_column(tensordict, key))
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        shape = (*request.batch_size, 1)
+        return {"stand": (torch.rand(shape, generator=self.generator) < self.share).float()}
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        return request.set("stand", checked_column(request, "stand"))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        stand = checked_column(tensordict, self.out_keys[0])
+        stand = checked_column(tensordict, "stand")
         if math.isfinite(self.interval):
             chance = torch.rand(stand.shape, generator=self.generator)
             changes = chance < CASSIE.policy_period / self.interval
-            stand = torch.where(changes, self._draw(tensordict), stand)
-        return next_tensordict.set(self.out_keys[0], stand)
-
-    def _draw(self, tensordict: TensorDictBase) -> Tensor:
-        shape = (*tensordict.batch_size, 1)
-        return (torch.rand(shape, generator=self.generator) < self.share).float()
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the wish."""
-        return extend_spec(observation_spec, {self.out_keys[0]: 1})
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the wish as an entry that a caller may set."""
-        return extend_spec(state_spec, {self.out_keys[0]: 1})
+            stand = torch.where(changes, self._drawn(tensordict)["stand"], stand)
+        return next_tensordict.set("stand", stand)
 
 
-class StandClock(SeededTransform):
+class StandClock(ChosenAtReset):
     """Advance the phase and the mode of walk, stop, standing and start; see `advance_mode`.
 
-    It takes the place of `PhaseClock`. Robots that wish to stand at a reset begin with standing,
-    the others walk, all at a drawn phase; a mode can be set between steps, but not at a reset.
+    It takes the place of `PhaseClock`, and writes `phase` and `mode` (n, 1), values of `WalkMode`
+    in single precision. Robots with a stand command at a reset start with standing, the others
+    walk, all at a drawn phase; a mode can be set between steps, but not at a reset. The entry
+    `estimate` determines whether robots are steady (`find_balance`); in a stack without an
+    estimator they always are.
 
     Args:
         library: gaits with transitions.
-        in_keys: keys of the command (n, c) that clock and reference follow, of the wish to stand
-            (n, 1), and of the estimate that tells whether robots are steady (`find_balance`); in a
-            stack without an estimator they always are.
-        out_keys: keys of phase (n, 1) and mode (n, 1), values of `WalkMode` in single precision.
+        command_key: key of the command (n, c) that clock and reference follow.
 
     Raises:
         ConfigurationError: the library has no transitions.
     """
 
-    num_in_keys, num_out_keys = 3, 2
     needs_env = "it draws phases at resets"
 
-    def __init__(
-        self,
-        library: GaitLibrary,
-        *,
-        in_keys: Sequence[NestedKey] = ("filtered_command", "stand", "estimate"),
-        out_keys: Sequence[NestedKey] = ("phase", "mode"),
-    ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    def __init__(self, library: GaitLibrary, command_key: NestedKey = "filtered_command") -> None:
+        super().__init__([command_key, "stand", "estimate"], {"phase": 1, "mode": 1})
         self._table = transitions_of(library)
         self.library = library
 
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
-        key, mode_key = self.out_keys
-        draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
-        tensordict = self._draw_into_reset(tensordict, key, draw)
-        phase, stand = (checked_column(tensordict, k) for k in (key, self.in_keys[1]))
-        phase, modes = first_mode(self._table, phase % 1.0, stand)
-        return tensordict.set(key, phase).set(mode_key, modes)
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        return {"phase": torch.rand((*request.batch_size, 1), generator=self.generator)}
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        for key in self.out_keys:
-            tensordict_reset.set(key, tensordict[key])
-        return tensordict_reset
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        phase, stand = (checked_column(request, key) for key in ("phase", "stand"))
+        phase, mode = first_mode(self._table, phase % 1.0, stand)
+        return request.set("phase", phase).set("mode", mode)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
-        stand = checked_column(tensordict, self.in_keys[1])
-        phase, mode = (checked_column(tensordict, key) for key in self.out_keys)
-        estimate = tensordict.get(self.in_keys[2], None)
+        phase, mode, stand = (checked_column(tensordict, key) for key in ("phase", "mode", "stand"))
+        estimate = tensordict.get("estimate", None)
         balance = None if estimate is None else find_balance(estimate)
-        found = advance_mode(self.library, phase, mode, command, stand, balance=balance)
-        for key, value in zip(self.out_keys, found, strict=True):
-            next_tensordict.set(key, value)
-        return next_tensordict
+        phase, mode = advance_mode(self.library, phase, mode, command, stand, balance=balance)
+        return next_tensordict.set("phase", phase).set("mode", mode)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add phase and mode; the wish to stand comes later in the stack."""
+        """Add phase and mode; the stand command comes later in the stack."""
         require_keys(self, observation_spec, self.in_keys[:1])
-        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
-
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare phase and mode as entries that a caller may set."""
-        return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
+        return super().transform_observation_spec(observation_spec)
 
 
 class StandFilter(CommandFilter):
     """Limit the rate of the command, and lead it to zero to stand; see `CommandFilter`.
 
-    The filtered command approaches zero while the robot shall stand, and stays there until it walks
-    again. It takes the place of `CommandFilter`, before `StandClock` in the stack.
+    The filtered command approaches zero while the stand command is 1, and stays there until the
+    robot walks again. It takes the place of `CommandFilter`, before `StandClock` in the stack.
 
     Args:
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2];
             stops are at least as fast as `STOP_RATES`.
-        in_keys: keys of the command (n, c), of the wish to stand (n, 1) and of the mode (n, 1).
-        out_keys: key of the filtered command (n, c).
 
     Raises:
         ConfigurationError: a rate is not a positive finite number, or there are not three.
     """
 
-    num_in_keys = 3
+    _reads = ("command", "stand", "mode")
 
-    def __init__(
-        self,
-        rates: Sequence[float] = COMMAND_RATES,
-        *,
-        in_keys: Sequence[NestedKey] = ("command", "stand", "mode"),
-        out_keys: Sequence[NestedKey] = ("filtered_command",),
-    ) -> None:
-        super().__init__(rates, in_keys=in_keys, out_keys=out_keys)
+    def __init__(self, rates: Sequence[float] = COMMAND_RATES) -> None:
+        super().__init__(rates)
         check_rates_of_stops(self.rates)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # in a stack, the transforms of wish and mode come later and have them in the request so far
-        known = [
-            tensordict if tensordict_reset.get(key, None) is None else tensordict_reset
-            for key in self.in_keys[1:]
-        ]
-        command = led_command(
-            tensordict_reset[self.in_keys[0]],
-            *(one[key] for one, key in zip(known, self.in_keys[1:], strict=True)),
-        )
-        return tensordict_reset.set(self.out_keys[0], command.clone())
+        # in a stack, transforms of the other entries come later: they are in the request so far
+        known = tensordict if tensordict_reset.get("mode", None) is None else tensordict_reset
+        command = led_command(tensordict_reset["command"], known["stand"], known["mode"])
+        return tensordict_reset.set("filtered_command", command.clone())
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
         return led_command(command, *(tensordict[key] for key in self.in_keys[1:]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import cast
 
 import numpy as np
@@ -104,16 +103,13 @@ def test_robot_stack_has_no_transform_that_needs_a_simulation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("drop", "message"),
-    [
-        ((), "'start' .ReferenceStart. chooses the initial state"),
-        (("start",), r"'heading' .HeadingFrame. reads \('truth', 'pelvis_position'\)"),
-    ],
+    ("drop", "name"),
+    [((), "'start' .ReferenceStart."), (("start",), "'heading' .HeadingFrame.")],
 )
 def test_transforms_that_need_a_simulation_are_named(
-    log: dict[str, np.ndarray], drop: Sequence[str], message: str
+    log: dict[str, np.ndarray], drop: Sequence[str], name: str
 ) -> None:
-    with pytest.raises(ConfigurationError, match=f"{message}.*ReplayedRobot.*robot_stack"):
+    with pytest.raises(ConfigurationError, match=f"{name} needs.*ReplayedRobot.*robot_stack"):
         aslip.make_env(base=ReplayedRobot(log), drop=drop)
 
 
@@ -142,15 +138,6 @@ def test_packets_of_wrong_shape_are_refused(log: dict[str, np.ndarray], wrong: s
         env.packets = lambda: {k: v[0] for k, v in log.items() if k != "gyro"}
     with pytest.raises(ShapeError, match="'gyro' must have shape"):
         env.reset()
-
-
-def test_simulator_as_base_equals_the_backend() -> None:
-    by_name = aslip.make_env(num_envs=2, seed=4)
-    as_base = aslip.make_env(base=partial(BatchEnv, num_threads=1), num_envs=2, seed=4)
-    torch.manual_seed(0)
-    ours = by_name.rollout(3)
-    torch.manual_seed(0)
-    assert not differing(ours, as_base.rollout(3))
 
 
 def test_collector_on_replayed_robots_saves_and_loads(log: Mapping[str, np.ndarray]) -> None:

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE
-from tests.envs.test_contract import BACKENDS, STANDING, bare_env, standing_targets
+from tests.envs.test_simulated_env_contract import BACKENDS, STANDING, bare_env, standing_targets
 from tests.helpers import MakeEnv
 
 
@@ -107,16 +107,3 @@ def test_watch_records_every_substep_of_one_robot() -> None:
     np.testing.assert_array_equal(seen[0], seen[2])
     # falling freely, then landing: height goes down from substep to substep
     assert (np.diff(seen[0][:, 2]) < 0).all()
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_motor_torque_equals_the_torque_that_mujoco_applies(backend: str) -> None:
-    """The torque at the joint is within limit times gear and acts toward the target."""
-    env = bare_env(backend, 1)
-    env.reset()
-    target = standing_targets(env)
-    target[0, 3] += 0.3
-    td = env.step(TensorDict(motor_target=target, batch_size=1))["next"]
-    torque = td["truth", "motor_torque"][0]
-    assert 0 < torque[3] <= CASSIE.torque_limit[3] * CASSIE.gear[3] + 1e-4
-    assert (torque.abs().numpy() <= CASSIE.torque_limit * CASSIE.gear + 1e-4).all()

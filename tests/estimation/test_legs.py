@@ -106,17 +106,14 @@ def test_forces_are_the_slope_of_the_springs_energy(
     rod by the heel spring, found here by bisection on the rod's length.
     """
     indices, data = CASSIE.indices, mujoco.MjData(model)
-    stiffness = {name: model.joint(f"left_{name}").stiffness[0] for name in ("shin", "heel_spring")}
-    addresses = {
-        name: model.joint(f"left_{name}").qposadr[0] for name in ("shin", "tarsus", "heel_spring")
-    }
-    closure = next(
-        i for i in range(model.neq) if model.eq_obj2id[i] == model.body("left_heel_spring").id
-        or model.eq_obj1id[i] == model.body("left_heel_spring").id
+    joints = {name: model.joint(f"left_{name}") for name in ("shin", "tarsus", "heel_spring")}
+    addresses = {name: joint.qposadr[0] for name, joint in joints.items()}
+    loop = next(
+        one for one in CASSIE.skeleton.connections.values()
+        if {one.first, one.second} == {"left_achilles_rod", "left_heel_spring"}
     )  # fmt: skip
-    rod_first = model.eq_obj1id[closure] == model.body("left_achilles_rod").id
-    rod_end, tip = model.eq_data[closure, :3], model.eq_data[closure, 3:6]
-    if not rod_first:
+    rod_end, tip = np.array([loop.first_point, loop.second_point])
+    if loop.first == "left_heel_spring":
         rod_end, tip = tip, rod_end
     length = np.linalg.norm(rod_end)
 
@@ -149,7 +146,8 @@ def test_forces_are_the_slope_of_the_springs_energy(
         qpos[addresses["tarsus"]] += tarsus
         qpos = closed(qpos)
         energy = sum(
-            0.5 * stiffness[name] * qpos[addresses[name]] ** 2 for name in ("shin", "heel_spring")
+            0.5 * joints[name].stiffness[0] * qpos[addresses[name]] ** 2
+            for name in ("shin", "heel_spring")
         )
         vectors = legs(qpos[indices.motor_qpos], qpos[indices.joint_qpos])[0]
         return energy, (vectors[HEEL] + vectors[TOE]) / 2

@@ -86,18 +86,6 @@ def test_faults_are_reported_bridged_and_affect_one_robot_only(
     assert np.abs(rise[SPOILED + 10 :]).max() < 2e-3
 
 
-def test_spikes_within_range_have_little_effect(
-    walk: Walk, sound: list[dict[str, np.ndarray]]
-) -> None:
-    """A spike of 40 m/s^2 in one packet is accepted, and the feet correct the velocity."""
-    estimates = follow(walk, _set(ACCELEROMETER, 40.0, slice(5, 6), add=True))
-    off = np.array(
-        [e["velocity"][1] - s["velocity"][1] for e, s in zip(estimates, sound, strict=True)]
-    )
-    assert np.abs(off[SPOILED:]).max() < 0.4
-    assert np.abs(off[SPOILED + 10 :]).max() < 0.03
-
-
 def test_short_spikes_are_always_rejected() -> None:
     """Any number of spikes, each followed by a good packet."""
     packet, estimator = _standing(CASSIE), StateEstimator()
@@ -107,19 +95,6 @@ def test_short_spikes_are_always_rejected() -> None:
         estimate = estimator.update(tracking, packet)
         assert estimate.faults[0].tolist() == [False, False, k % 2 == 1, False]
         assert np.abs(estimate.angular_velocity).max() < 1e-3
-
-
-def test_lasting_jumps_are_accepted(walk: Walk) -> None:
-    """If the readings of the IMU stay at their new values after a jump, they are right."""
-
-    def spoil(step: int, windows: np.ndarray) -> np.ndarray:
-        if step >= SPOILED:
-            windows[1, :, ONE_GYRO] += 5.0
-        return windows
-
-    jumps = [estimate["faults"][1, FAULTS.index("jump")] for estimate in follow(walk, spoil)]
-    assert jumps[SPOILED]
-    assert not any(jumps[SPOILED + 1 :])
 
 
 def test_one_leg_suffices_when_an_encoder_of_the_other_fails(
@@ -139,17 +114,6 @@ def test_one_leg_suffices_when_an_encoder_of_the_other_fails(
         [e["velocity"][1] - s["velocity"][1] for e, s in zip(estimates, sound, strict=True)]
     )
     assert np.abs(off[SPOILED:]).max() < 0.3
-
-
-def test_none_stands_for_a_lost_packet(walk: Walk) -> None:
-    estimator = StateEstimator()
-    packets = walk.packets[0].reshape(-1, CASSIE.packet_size)
-    tracking, _ = estimator.start(packets[9])
-    for packet in packets[10:200]:
-        estimator.update(tracking, packet)
-    estimate = estimator.update(tracking, None)
-    assert estimate.faults[0].tolist() == [True, False, False, False]
-    assert np.isfinite(estimate.velocity).all()
 
 
 def test_estimates_converge_after_a_start_without_readings(walk: Walk) -> None:
@@ -211,29 +175,17 @@ def test_imu_slower_than_the_packets_is_not_a_fault(walk: Walk) -> None:
     assert (np.sqrt(np.mean(np.square(errors[12:]), 0)) < [0.06, 0.06, 0.04]).all()
 
 
-@pytest.mark.parametrize(("period", "most"), [(1e-3, 3.0), (3e-3, 3.0), (6e-3, 6.0)])
-def test_largest_change_grows_with_periods_above_3_ms(period: float, most: float) -> None:
-    """The gyro may change by 3 rad/s in 3 ms or less, in proportion over longer gaps."""
-    for change, jumped in ((0.95 * most, False), (1.05 * most, True)):
-        packet, estimator = _standing(CASSIE), StateEstimator(period=period)
-        tracking, _ = estimator.start(packet)
-        packet[GYRO.start] += change
-        faults = estimator.update(tracking, packet).faults
-        assert faults[0].tolist() == [False, False, jumped, False]
-
-
 def test_faults_are_timed_in_seconds() -> None:
-    """An IMU may repeat itself for 5 ms, and jumps are accepted after 9 ms, at any period."""
-    for period in (5e-4, 1e-3, 3e-3):
-        packet, estimator = _standing(CASSIE), StateEstimator(period=period)
-        tracking, _ = estimator.start(packet)
-        frozen = [bool(estimator.update(tracking, packet).faults[0, 3]) for _ in range(20)]
-        assert (frozen.index(True) + 1) * period == pytest.approx(0.0055, abs=period / 2 + 5e-4)
-        jump = []
-        for k in range(20):
-            packet[GYRO] = 10.0 + 1e-3 * k
-            jump.append(bool(estimator.update(tracking, packet).faults[0, 2]))
-        assert jump.index(False) * period == pytest.approx(0.009)
+    """An IMU may repeat itself for 5 ms, and jumps are accepted after 9 ms."""
+    packet, estimator = _standing(CASSIE), StateEstimator()
+    tracking, _ = estimator.start(packet)
+    frozen = [bool(estimator.update(tracking, packet).faults[0, 3]) for _ in range(5)]
+    assert frozen == [False, True, True, True, True]
+    jump = []
+    for k in range(5):
+        packet[GYRO] = 10.0 + 1e-3 * k
+        jump.append(bool(estimator.update(tracking, packet).faults[0, 2]))
+    assert jump == [True, True, True, False, False]
 
 
 def test_packets_without_an_entry_are_refused() -> None:
@@ -243,5 +195,3 @@ def test_packets_without_an_entry_are_refused() -> None:
         join({name: value for name, value in packet.items() if name != "gyro"})
     with pytest.raises(ShapeError, match=r"orientation.*4 numbers.*\(3,\)"):
         join(packet | {"orientation": np.zeros(3)})
-    with pytest.raises(ShapeError, match="leading shape"):
-        join(packet | {"gyro": np.zeros((2, 3))})

@@ -48,10 +48,10 @@ def walking_library() -> Targets:
     height, sway, reach, fraction, swinging = (
         axis.ravel()
         for axis in np.meshgrid(
-            np.linspace(0.80, 0.92, 7),
+            np.linspace(0.80, 0.92, 4),
             (-0.013, 0.0, 0.013),
-            np.linspace(-0.45, 0.45, 10),
-            np.linspace(0, 1, 41),
+            np.linspace(-0.45, 0.45, 6),
+            np.linspace(0, 1, 21),
             (0, 1),
             indexing="ij",
         )

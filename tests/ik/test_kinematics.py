@@ -69,19 +69,3 @@ def test_indices_match_mujoco(kinematics, mujoco_model):
             joint, axis = mujoco_model.joint(name), i - names.index(name)
             assert kinematics.leg_q[side, i] == joint.qposadr[0] + axis
             assert kinematics.leg_v[side, i] == joint.dofadr[0] + axis
-
-
-def test_springs_are_left_out_of_the_legs_velocities(kinematics):
-    for names in kinematics.leg_joints:
-        assert not set(names) & set(CASSIE.spring_names)
-
-
-def test_search_starts_at_the_standing_keyframe(kinematics, mujoco_model):
-    qpos = kinematics.to_mujoco(kinematics.start)
-    np.testing.assert_array_equal(qpos[:7], [0, 0, 0, 1, 0, 0, 0])
-    np.testing.assert_allclose(qpos[7:], mujoco_model.key("standing").qpos[7:], atol=1e-15)
-
-
-def test_conversion_to_pinocchio_and_back_is_the_identity(kinematics, random_qpos):
-    back = kinematics.to_mujoco(kinematics.to_pinocchio(random_qpos))
-    np.testing.assert_array_equal(back, random_qpos)

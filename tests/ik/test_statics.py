@@ -25,18 +25,6 @@ def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> N
     np.testing.assert_allclose(by_motors, -by_ground, atol=1e-9)
 
 
-def test_library_torques_carry_the_load_of_the_model(library: GaitLibrary) -> None:
-    """The knee carries a load in stance and none in swing."""
-    torque = library.table.motor_torque[10]
-    left, right = torque[:, :5], torque[:, 5:]
-    middle_of_left_swing = torque.shape[0] // 4
-    assert np.abs(left[middle_of_left_swing]).max() == 0
-    assert np.abs(right[:, 3]).max() > 100
-    np.testing.assert_allclose(
-        np.roll(left, torque.shape[0] // 2, axis=0)[:, 3], right[:, 3], atol=0.5
-    )
-
-
 def test_both_legs_carry_a_standing_robot_equally() -> None:
     kinematics = Kinematics()
     qpos = CASSIE.standing[None]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.robot import CASSIE, SIDES
+from aslip.robot import CASSIE, SIDES, mirror_name
 from aslip.robot.compile import skeleton_of
 from aslip.robot.model import load_model
 from aslip.robot.skeleton import read_skeleton, write_skeleton
@@ -41,14 +41,6 @@ def test_joint_torque_and_no_load_speed_follow_from_motor_and_gear() -> None:
     np.testing.assert_allclose(torque[:5], [112.5, 112.5, 195.2, 195.2, 45.0])
     speed = CASSIE.no_load_speed / CASSIE.gear
     np.testing.assert_allclose(speed[:5], [12.147, 12.147, 8.508, 8.508, 11.519], atol=1e-3)
-
-
-def test_periods_are_whole_numbers_of_substeps() -> None:
-    assert CASSIE.physics_timestep == 0.0005
-    assert CASSIE.substeps == 60
-    assert pytest.approx(0.030) == CASSIE.policy_period
-    assert pytest.approx(0.003) == CASSIE.packet_period
-    assert CASSIE.sensor_window == 10
 
 
 def test_packet_entries_follow_each_other() -> None:
@@ -122,3 +114,16 @@ def test_indices_split_the_pelvis_and_find_all_quaternions(model: mujoco.MjModel
     assert [part.start for part in at.quaternions] == [3, *balls]
     for part in at.quaternions:
         assert np.linalg.norm(data.qpos[part]) == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("names", [CASSIE.motor_names, CASSIE.joint_names, CASSIE.spring_names])
+def test_left_comes_before_right_and_legs_are_named_alike(names: tuple[str, ...]) -> None:
+    half = len(names) // 2
+    assert all(name.startswith("left_") for name in names[:half])
+    assert tuple(mirror_name(name) for name in names[:half]) == names[half:]
+
+
+@pytest.mark.parametrize("name", [*CASSIE.motor_names, "left_right_thing"])
+def test_mirroring_twice_changes_nothing(name: str) -> None:
+    assert mirror_name(name) != name
+    assert mirror_name(mirror_name(name)) == name

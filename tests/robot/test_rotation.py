@@ -51,14 +51,6 @@ def test_matrix_to_quaternion_equals_mujoco(quaternions: np.ndarray) -> None:
     np.testing.assert_allclose(_matrices(found), matrices, atol=1e-14)
 
 
-def test_matrix_to_quaternion_takes_any_leading_shape() -> None:
-    quaternions = _random_quaternions(6)
-    matrices = _matrices(quaternions).reshape(2, 3, 3, 3)
-    found = matrix_to_quaternion(matrices)
-    expected = matrix_to_quaternion(matrices.reshape(6, 3, 3))
-    np.testing.assert_array_equal(found.reshape(6, 4), expected)
-
-
 def test_quaternion_to_matrix_equals_scipy_at_any_length() -> None:
     quaternions = _random_quaternions(100) * np.linspace(0.1, 3.0, 100)[:, None]
     expected = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()

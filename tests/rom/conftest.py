@@ -1,18 +1,17 @@
-import numpy as np
 import pytest
 
 from aslip.rom import Gait, optimize_gaits
 
-SPEEDS = np.arange(21) / 10
+SPEEDS = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 @pytest.fixture(scope="session")
 def gaits() -> list[Gait]:
-    """The paper's 21 gaits: 0 to 2 m/s in steps of 0.1 m/s."""
-    return optimize_gaits(SPEEDS.tolist())
+    """Five of the paper's gaits, from 0 to 2 m/s."""
+    return optimize_gaits(SPEEDS)
 
 
 @pytest.fixture(scope="session")
 def gait(gaits: list[Gait]) -> Gait:
     """The gait at 1 m/s."""
-    return gaits[10]
+    return gaits[2]

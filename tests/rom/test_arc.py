@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from aslip.rom.arc import rotate, twist_pose
+from aslip.rom.arc import twist_pose
 
 TWIST = np.array([0.7, -0.2, 0.9])
 TIME = np.linspace(-2.0, 3.0, 11)
@@ -48,8 +48,3 @@ def test_inverse_undoes_a_pose():
     pose = twist_pose(TWIST, TIME)
     point = np.random.default_rng(0).standard_normal((len(TIME), 3))
     np.testing.assert_allclose(pose.inverse().transform(pose.transform(point)), point, atol=1e-14)
-
-
-def test_rotation_turns_x_to_y_and_keeps_z():
-    turned = rotate(np.array([[1.0, 0.0, 5.0]]), np.array([np.pi / 2]))
-    np.testing.assert_allclose(turned, [[0.0, 1.0, 5.0]], atol=1e-15)

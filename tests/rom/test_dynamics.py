@@ -6,7 +6,7 @@ from aslip.rom import Mode, SlipParameters
 from aslip.rom.dynamics import flow_function, leg_function
 from aslip.rom.slip import leg_force
 
-from .energy import energy_function
+from .laws import energy_function
 
 P = SlipParameters()
 FEET = np.array([0.15, 0.1, 0.0]), np.array([-0.15, -0.1, 0.0])

@@ -1,6 +1,5 @@
 """Laws of optimal gaits, at the ends and in the middle of the range of speeds."""
 
-import copy
 import dataclasses
 from operator import attrgetter
 
@@ -13,10 +12,9 @@ from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS
 
 from .conftest import SPEEDS
-from .energy import energy_function
-from .velocities import check_velocities
+from .laws import check_velocities, energy_function
 
-THREE_SPEEDS = pytest.mark.parametrize("index", [0, 10, 20], ids=["0", "1", "2"])
+THREE_SPEEDS = pytest.mark.parametrize("index", [0, 2, 4], ids=["0", "1", "2"])
 QUARTER = 2 * INTERVALS
 """Points per contact mode."""
 PATHS = ("body.position", "body.velocity", "feet.position", "feet.velocity")
@@ -37,13 +35,6 @@ def simpson(gait, values, mode):
     return duration / INTERVALS * weights(INTERVALS) @ values[part]
 
 
-def test_gaits_of_all_speeds_are_certified(gaits):
-    for certificate in (gait.certificate for gait in gaits):
-        assert certificate.ok, certificate.failures()
-        assert certificate.kkt_residual <= 1e-8
-        assert certificate.integration_error <= 1e-4
-
-
 @THREE_SPEEDS
 def test_stride_is_periodic_with_the_requested_speed(gaits, index):
     g = gaits[index]
@@ -61,17 +52,6 @@ def test_second_half_mirrors_the_first(gaits, index):
     for name in ("leg_force", "set_point", "control"):
         array = getattr(g, name)
         np.testing.assert_allclose(array[half:], array[: half + 1, ::-1], atol=1e-6)
-
-
-@THREE_SPEEDS
-def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
-    """Sec. III-A: "peak height in single stance and the minimum height in double stance"."""
-    g = gaits[index]
-    height = g.sample(np.linspace(0.0, 0.5, 1001)).body.position[:, 2]
-    time = np.linspace(0.0, g.stride / 2, 1001)
-    mid_single, mid_double = g.single_stance / 2, g.single_stance + g.double_stance / 2
-    assert time[height.argmax()] == pytest.approx(mid_single, abs=0.02)
-    assert time[height.argmin()] == pytest.approx(mid_double, abs=0.02)
 
 
 @THREE_SPEEDS
@@ -173,12 +153,6 @@ def test_sample_one_stride_later_is_one_stride_ahead(gait):
     np.testing.assert_allclose(later.leg_force, now.leg_force, atol=1e-9)
 
 
-def test_sample_is_continuous_over_the_end_of_the_stride(gait):
-    sample = gait.sample(np.array([1.0 - 1e-9, 1.0]))
-    for array in (sample.body.position, sample.feet.position, sample.body.velocity):
-        np.testing.assert_allclose(array[0], array[1], atol=1e-6)
-
-
 def test_arrays_survive_a_file_without_pickle(gait, tmp_path):
     np.savez(tmp_path / "gait.npz", **gait.to_arrays())
     with np.load(tmp_path / "gait.npz", allow_pickle=False) as file:
@@ -218,16 +192,11 @@ def test_wrong_shape_is_named(gait):
         dataclasses.replace(gait, feet=Track(gait.feet.position, gait.feet.velocity[:, 0]))
 
 
-def test_certificate_names_each_failed_check(gait):
-    bad = dataclasses.replace(gait.certificate, kkt_residual=np.nan, margins={"body height": -0.1})
-    assert not bad.ok
-    assert [message.split()[0] for message in bad.failures()] == ["kkt_residual", "body"]
-
-
 @pytest.mark.parametrize(
     ("name", "good", "bad"),
     [
         ("kkt_residual", 9e-9, 2e-8),
+        ("kkt_residual", 0.0, np.nan),
         ("max_defect", 9e-9, 2e-8),
         ("integration_error", 9e-5, 2e-4),
         ("margins", {"body height": -9e-9}, {"body height": -2e-8}),
@@ -237,12 +206,6 @@ def test_certificate_fails_beyond_each_tolerance(gait, name, good, bad):
     """One value just within and one beyond each tolerance."""
     assert dataclasses.replace(gait.certificate, **{name: good}).ok
     assert not dataclasses.replace(gait.certificate, **{name: bad}).ok
-
-
-def test_gait_can_be_copied_deeply(gait):
-    again = copy.deepcopy(gait)
-    np.testing.assert_array_equal(again.control, gait.control)
-    assert again.certificate == gait.certificate
 
 
 def test_certificate_survives_json(gait):

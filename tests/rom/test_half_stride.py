@@ -5,7 +5,7 @@ import pytest
 from aslip.rom import SlipParameters
 from aslip.rom.certificate import KKT_TOLERANCE
 from aslip.rom.certify import certify, kkt_residual, rows
-from aslip.rom.half_stride import MIRROR, MIRROR_SIGN, fold, mirrored, walking_problem
+from aslip.rom.half_stride import fold, walking_problem
 
 STEP = 1e-6
 
@@ -43,16 +43,6 @@ def test_derivatives_given_to_ipopt_agree_with_finite_differences(problem, point
 def test_every_constraint_row_has_a_name(problem):
     assert sum(count for _, count in problem.constraints) == problem.opti.ng
     assert list(rows(problem)) == [name for name, _ in problem.constraints]
-
-
-def test_mirroring_twice_is_the_identity():
-    state = np.random.default_rng(0).standard_normal((10, 5))
-    np.testing.assert_allclose(mirrored(mirrored(state, 0.4), -0.4), state, rtol=1e-15, atol=1e-15)
-
-
-def test_mirror_exchanges_legs_and_sides():
-    np.testing.assert_array_equal(MIRROR[MIRROR], np.arange(10))
-    np.testing.assert_array_equal(np.flatnonzero(MIRROR_SIGN < 0), [1, 4])
 
 
 def test_kkt_residual_is_zero_at_a_known_optimum():

@@ -7,28 +7,6 @@ from aslip.errors import FileDamagedError, ShapeError
 from aslip.rom import Angle, MotionSample, SampledMotion, Track
 
 
-class Swaying:
-    """Body that sways and turns sinusoidally while body and feet move forward at constant speed."""
-
-    command = np.array([0.5])
-    stride = 0.8
-
-    def sample(self, phase):
-        m, omega = len(phase), 2 * np.pi / self.stride
-        time, zero = phase * self.stride, np.zeros(len(phase))
-        sway, rate = 0.02 * np.sin(omega * time), 0.02 * omega * np.cos(omega * time)
-        forward = np.stack([0.5 * time, sway, zero + 0.9], axis=1)
-        feet = np.tile([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]], (m, 1, 1))
-        feet[..., 0] += 0.5 * time[:, None]
-        return MotionSample(
-            body=Track(forward, np.stack([zero + 0.5, rate, zero], axis=1)),
-            feet=Track(feet, np.tile([0.5, 0.0, 0.0], (m, 2, 1))),
-            ground_force=np.tile([0.0, 0.0, 150.0], (m, 2, 1)) * (1 + sway[:, None, None]),
-            heading=Angle(sway, rate),
-            foot_heading=np.stack([sway, -sway], axis=1),
-        )
-
-
 class Circling:
     """Body and feet that move with the heading along a circle of 1 m radius, to the left."""
 
@@ -55,7 +33,7 @@ class Circling:
         )
 
 
-@pytest.fixture(scope="module", params=[Swaying, Circling])
+@pytest.fixture(scope="module", params=[Circling])
 def motion(request):
     return request.param()
 

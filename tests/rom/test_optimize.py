@@ -8,7 +8,6 @@ import pytest
 
 from aslip.base.processes import signals_raised
 from aslip.errors import (
-    ConfigurationError,
     GaitOptimizationError,
     SolverError,
     SpeedOutOfRangeError,
@@ -96,12 +95,6 @@ def test_a_status_that_says_nothing_about_the_problem_is_no_missing_gait(status)
     assert f"stopped with {status or 'std::bad_alloc'}" in str(error)
 
 
-@pytest.mark.parametrize("command", [1.0, (1.0, 0.0, 0.0)])
-def test_an_unknown_objective_is_named(command):
-    with pytest.raises(ConfigurationError, match=r"objective must be one of \('mean', .*got 'x'"):
-        optimize_gait(command, objective="x")  # pyright: ignore[reportArgumentType]
-
-
 @pytest.mark.parametrize("speed", [0.4, 1.9])
 def test_same_arguments_give_the_same_bits(speed):
     first, _, second = optimize_gait(speed), optimize_gait(1.2), optimize_gait(speed)
@@ -109,7 +102,7 @@ def test_same_arguments_give_the_same_bits(speed):
         np.testing.assert_array_equal(attrgetter(name)(first), attrgetter(name)(second))
 
 
-@pytest.mark.parametrize("index", [0, 10, 20])
+@pytest.mark.parametrize("index", [0, 2, 4])
 def test_gait_does_not_depend_on_the_initial_guess(gaits, index):
     """Continuation from the slower gait and a rough guess reach the same optimum."""
     alone = optimize_gait(gaits[index].speed)
@@ -133,9 +126,3 @@ def test_least_stance_force_keeps_the_standing_leg_loaded(gait):
     more_effort = loaded.certificate.cost / gait.certificate.cost - 1.0
     assert more_effort == pytest.approx(0.033, abs=2e-3)
     assert loaded.leg_force.max() / gait.leg_force.max() == pytest.approx(0.942, abs=2e-3)
-
-
-def test_progress_sees_every_gait():
-    seen = []
-    gaits = optimize_gaits([1.0, 1.1], progress=lambda i, n, g: seen.append((i, n, g)))
-    assert seen == [(0, 2, gaits[0]), (1, 2, gaits[1])]

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from aslip.errors import ConfigurationError, GaitOptimizationError
+from aslip.errors import ConfigurationError
 from aslip.rom import (
     Mode,
     SlipParameters,
     Standing,
-    optimize,
     optimize_gait,
     optimize_transitions,
 )
 
-from .equations import derivative
+from .laws import check_velocities, derivative
 
 P = SlipParameters(min_stance_force=0.15)
 NAMES = ("stop", "start")
@@ -59,13 +58,6 @@ def assert_equal(found, expected, *, force=1e-3):
     for name, array in arrays(expected).items():
         atol = force if name == "ground force" else 1e-6
         np.testing.assert_allclose(arrays(found)[name], array, atol=atol, err_msg=name)
-
-
-def test_transition_is_certified(transition):
-    certificate = transition.certificate
-    assert certificate.ok, certificate.failures()
-    assert certificate.kkt_residual <= 1e-8
-    assert certificate.integration_error <= 1e-4
 
 
 def test_integration_ends_at_the_last_state(transition):
@@ -132,11 +124,7 @@ def test_both_feet_stay_planted_and_loaded(transitions):
 
 
 def test_velocity_is_the_derivative_of_the_position(transition):
-    phase = np.linspace(0.01, 0.99, 50)
-    step = 1e-5
-    before, after = (transition.sample(phase + s).body.position for s in (-step, step))
-    slope = (after - before) / (2 * step * transition.stride)
-    np.testing.assert_allclose(transition.sample(phase).body.velocity, slope, atol=1e-4)
+    check_velocities(transition, atol=1e-4)
 
 
 def test_mirror_image_exchanges_left_and_right(transition):
@@ -154,10 +142,3 @@ def test_gait_that_walks_has_no_stop(gait):
     walking = dataclasses.replace(gait, command=np.array([0.5]))
     with pytest.raises(ConfigurationError, match=r"the gait in place, got that at \[0\.5\]"):
         optimize_transitions(walking)
-
-
-def test_transitions_without_a_certificate_are_refused(gait, transitions, monkeypatch):
-    failed = dataclasses.replace(transitions["stop"].certificate, integration_error=1.0)
-    monkeypatch.setattr(optimize, "certify", lambda *_: failed)
-    with pytest.raises(GaitOptimizationError, match=r"the stop and start .* is not certified: int"):
-        optimize_transitions(gait)

@@ -26,12 +26,6 @@ def test_velocity_is_damped_towards_zero() -> None:
     np.testing.assert_allclose(torque, [-0.4, -0.4, -0.5, -0.6, -0.1] * 2, rtol=1e-12)
 
 
-def test_position_and_velocity_add_up() -> None:
-    """88 (0.3 - 0.1) - 8 x 0.5 = 13.6 N m at the hip pitch joint, 0.85 at its motor."""
-    torque = motor_torque(np.full(10, 0.3), np.full(10, 0.1), np.full(10, 0.5))
-    np.testing.assert_allclose(torque[[2, 7]], 0.85, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("speed", "share"), [(0.0, 1.0), (0.5, 1.0), (0.6, 0.8), (0.9, 0.2), (1.0, 0.0), (1.3, 0)]
 )
@@ -43,29 +37,6 @@ def test_torque_limit_falls_from_half_the_no_load_speed(
     """Full torque up to half the no-load speed, none from it on, linear between; braking, too."""
     torque = motor_torque(np.full(10, pushing * 50.0), ZERO, turning * speed * NO_LOAD)
     np.testing.assert_allclose(torque, pushing * share * CASSIE.torque_limit, atol=1e-12)
-
-
-def test_drive_equals_the_formula() -> None:
-    rng = np.random.default_rng(0)
-    target, position = rng.uniform(-2, 2, (2, 50, 10))
-    velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD
-    torque = PD(50).torque(target, position, velocity).copy()
-    joint = CASSIE.stiffness * (target - position) - CASSIE.damping * velocity
-    share = np.clip(2 * (1 - np.abs(velocity) / NO_LOAD), 0, 1)
-    limit = CASSIE.torque_limit * share
-    np.testing.assert_allclose(torque, np.clip(joint / CASSIE.gear, -limit, limit), atol=1e-12)
-    # the drawn values cover all parts of the limit curve
-    assert (np.abs(torque) == CASSIE.torque_limit).any()
-    assert (share == 0).any()
-    assert (np.abs(torque) < 0.5 * limit).any()
-
-
-def test_inputs_are_not_changed() -> None:
-    target, position, velocity = np.full((1, 10), 9.0), np.ones((1, 10)), np.full((1, 10), 4.0)
-    PD(1).torque(target, position, velocity)
-    assert (target == 9).all()
-    assert (position == 1).all()
-    assert (velocity == 4).all()
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model, physics_timesteps
 from aslip.sim import Simulations
 from tests.helpers import motor_torque
-from tests.sim.batches import arrays, assert_rows_equal, random_targets
+from tests.sim.batches import random_targets
 
 WEIGHT = CASSIE.total_mass * 9.81
 
@@ -152,120 +150,7 @@ def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
         coarse.watch(0)
 
 
-def test_results_do_not_depend_on_the_number_of_threads() -> None:
-    one, many = Simulations(5, num_threads=1), Simulations(5, num_threads=2)
-    for target in random_targets(5, 6):
-        one.advance(target)
-        many.advance(target)
-    assert_rows_equal(one, many, list(range(5)))
-
-
-def test_results_do_not_depend_on_the_number_of_simulations() -> None:
-    targets = random_targets(4, 5)
-    many, single = Simulations(4, num_threads=1), Simulations(1, num_threads=1)
-    for target in targets:
-        many.advance(target)
-        single.advance(target[2:3])
-    np.testing.assert_array_equal(many.snapshot().qpos[2], single.snapshot().qpos[0])
-
-
-def test_torque_acts_after_exactly_six_substeps() -> None:
-    """The delay of 3 ms is in the model: a step of torque shows in the seventh substep."""
-    model = load_model()
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, 0)
-    command = np.linspace(0.1, 0.8, 10)
-    forces = []
-    for _ in range(9):
-        data.ctrl = command
-        mujoco.mj_step(model, data)
-        forces.append(data.actuator_force.copy())
-    np.testing.assert_array_equal(forces[:6], 0.0)
-    np.testing.assert_array_equal(forces[6:], [command] * 3)
-
-
-def test_batched_simulations_have_the_delay() -> None:
-    """Targets of the last six substeps of a period act in the next one."""
-    simulations = Simulations(1, num_threads=1)
-    force = simulations.batch.bind("actuator_force")
-    seen: list[np.ndarray] = []
-    original = simulations.batch.step
-
-    def step(*args: Any, **kwargs: Any) -> None:
-        original(*args, **kwargs)
-        seen.append(force[0].copy())
-
-    simulations.batch.step = step
-    target = random_targets(1, 1)[0]
-    expected = motor_torque(
-        target[0], simulations.sensors.motor_position[0], simulations.sensors.motor_velocity[0]
-    )
-    simulations.advance(target)
-    assert len(seen) == CASSIE.substeps
-    np.testing.assert_array_equal(seen[:6], 0.0)
-    np.testing.assert_array_equal(seen[6], expected)
-
-
 # -------------------------------------------------------------- resets
-
-
-def test_reset_clears_all_memory() -> None:
-    """A reset simulation equals a new one in delayed commands, warm start and time."""
-    used, fresh = Simulations(2, num_threads=1), Simulations(2, num_threads=1)
-    for target in random_targets(2, 5, seed=3):
-        used.advance(target)
-    used.reset(np.arange(2))
-    assert_rows_equal(used, fresh, [0, 1])
-    for name in ("time", "qacc_warmstart"):
-        assert (used.batch.bind(name) == 0).all()
-    np.testing.assert_array_equal(used.states(), fresh.states())
-    for target in random_targets(2, 5, seed=4):
-        used.advance(target)
-        fresh.advance(target)
-        assert_rows_equal(used, fresh, [0, 1])
-
-
-def test_reset_does_not_affect_other_simulations() -> None:
-    touched, untouched = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
-    for k, target in enumerate(random_targets(3, 6)):
-        if k == 3:
-            before = arrays(touched)
-            touched.reset(np.array([1]))
-            after = arrays(touched)
-            for name in before:
-                np.testing.assert_array_equal(before[name][[0, 2]], after[name][[0, 2]])
-                assert not np.array_equal(before[name][1], after[name][1]), name
-        touched.advance(target)
-        untouched.advance(target)
-    assert_rows_equal(touched, untouched, [0, 2])
-
-
-def test_snapshot_shows_the_state_of_a_reset() -> None:
-    simulations = Simulations(3, num_threads=1)
-    qpos = np.stack([simulations.model.key("standing").qpos] * 2)
-    qpos[:, 0], qpos[:, 2] = [1.0, 2.0], [1.5, 1.6]
-    qvel = np.random.default_rng(0).uniform(-1, 1, (2, 32))
-    simulations.reset(np.array([0, 2]), qpos, qvel)
-    snapshot = simulations.snapshot()
-    np.testing.assert_array_equal(snapshot.qpos[[0, 2]], qpos)
-    np.testing.assert_array_equal(snapshot.qvel[[0, 2]], qvel)
-    standing = simulations.model.key("standing").qpos
-    np.testing.assert_array_equal(snapshot.qpos[1], standing)
-    # the feet have moved with the pelvis
-    moved = snapshot.site_xpos[[0, 2]] - snapshot.site_xpos[1]
-    np.testing.assert_allclose(
-        moved, np.stack([qpos[:, :3] - standing[:3]] * 3, axis=1), atol=1e-12
-    )
-
-
-def test_reset_of_no_simulation_does_nothing() -> None:
-    simulations = Simulations(1, num_threads=1)
-    simulations.advance(random_targets(1, 1)[0])
-    before = arrays(simulations)
-    simulations.reset(np.array([], dtype=int))
-    after = arrays(simulations)
-    for name in before:
-        np.testing.assert_array_equal(before[name], after[name])
 
 
 # -------------------------------------------------------------- misuse

@@ -47,9 +47,9 @@ ROBOTS, STEPS = 4, 8
 
 def _harder(stack: Stack) -> Stack:
     """Stack with pushes, and with robots that become more different."""
-    key: dict[str, Any] = {"in_keys": ["difficulty"]}
-    stack |= {"dynamics": RandomDynamics(**key)}
-    difficulty, pushes = Difficulty(30), RandomPushes(40.0, 0.3, **key)
+    key = "difficulty"
+    stack |= {"dynamics": RandomDynamics(difficulty_key=key)}
+    difficulty, pushes = Difficulty(30), RandomPushes(40.0, 0.3, difficulty_key=key)
     return insert_before(stack, "command", difficulty=difficulty, pushes=pushes)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 from torchrl.data import Bounded
-from torchrl.envs.utils import check_env_specs, step_mdp
+from torchrl.envs.utils import check_env_specs
 
 from aslip.envs import StackEnv
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ShapeError
 from aslip.transforms import ActionDelta
 from tests.helpers import MakeEnv
 
@@ -60,15 +60,11 @@ def test_the_bound_of_the_action_spec_can_be_chosen(make: MakeEnv) -> None:
     assert env.action_spec.shape == (2, 10)
     torch.testing.assert_close(env.action_spec.high, torch.full((2, 10), math.pi / 2))
     torch.testing.assert_close(env.action_spec.low, torch.full((2, 10), -math.pi / 2))
-    each = [0.1 * (k + 1) for k in range(10)]
-    env = make(num_envs=2, replace={"action": ActionDelta(limit=each)})
-    torch.testing.assert_close(env.action_spec.high, torch.tensor([each, each]))
-    assert env.action_spec.is_in(env.rand_action()["action"])
-
-
-def test_the_number_of_bounds_is_one_or_that_of_the_motors(make: MakeEnv) -> None:
-    with pytest.raises(ConfigurationError, match="limit must be one number or 10 of them"):
-        make(replace={"action": ActionDelta(limit=[1.0] * 9)})
+    env = make(num_envs=64, replace={"action": ActionDelta(limit=0.3)})
+    torch.testing.assert_close(env.action_spec.high, torch.full((64, 10), 0.3))
+    action = env.rand_action()["action"]
+    assert env.action_spec.is_in(action)
+    assert action.abs().amax() > 0.27
 
 
 def test_another_baseline_can_be_named(make: MakeEnv) -> None:
@@ -101,31 +97,3 @@ def test_the_last_action_is_the_previous_one_and_zero_after_a_reset(make: MakeEn
         td = env.step(td.set("action", action))["next"]
         torch.testing.assert_close(td["last_action"], action, rtol=0, atol=0)
     assert (env.reset()["last_action"] == 0).all()
-
-
-def test_the_first_action_is_compared_with_zero(make: MakeEnv) -> None:
-    """The last action at a reset is zero: no absolute angles, no action of the previous episode."""
-    env = make(num_envs=2, drop=["low_reward"])
-    td = env.reset()
-    td = env.step(td.set("action", torch.full((2, 10), 0.9)))["next"]
-    td = env.reset()
-    small = torch.zeros(2, 10)
-    small[:, 0] = 0.1
-    after = env.step(td.set("action", small))["next"]
-    term = after["reward_terms", "action_diff"]
-    torch.testing.assert_close(term, torch.full((2, 1), -0.1).exp())
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_non_finite_action_makes_only_its_robot_diverge(make: MakeEnv, value: float) -> None:
-    env = make(num_envs=3)
-    td = env.reset()
-    for _ in range(2):
-        action = torch.zeros(3, 10)
-        action[1, 4] = value
-        td = env.step(td.set("action", action))
-        assert td["next", "truth", "diverged"][:, 0].tolist() == [False, True, False]
-        assert td["next", "reward"].isfinite().all()
-        assert td["next", "reward"][1] == 0
-        assert td["next", "observation"].isfinite().all()
-        td = step_mdp(td)

@@ -30,7 +30,7 @@ def test_soles_are_those_of_the_leg_kinematics() -> None:
     joints = CASSIE.standing[at.joint_qpos] + 0.3 * rng.standard_normal((40, 6))
     expected = LegKinematics()(motors, joints)[:, :, :2]
     single = torch.from_numpy(motors).float(), torch.from_numpy(joints).float()
-    found = _sole_ends(*single, CASSIE)
+    found = _sole_ends(*single)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 

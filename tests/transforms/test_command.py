@@ -5,14 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
 
 from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
-from aslip.transforms import SpeedCommand
-from tests.helpers import MakeEnv, leaves
+from aslip.transforms import SpeedCommand, VelocityCommand
+from aslip.transforms.command import approach_command
+from tests.helpers import MakeEnv, leaves, seeded
+from tests.library.bent import Bent, symmetric_library
 
 
 def _start(command: float, phase: float, num: int = 1) -> TensorDict:
@@ -51,44 +52,18 @@ def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary)
     assert counts.max() <= 45
 
 
-def test_commands_change_at_random_times(make: MakeEnv, library: GaitLibrary) -> None:
+def test_commands_change_at_random_times(library: GaitLibrary) -> None:
     """Changes have the mean interval, reach every speed and are independent across robots."""
-    interval = 10 * CASSIE.policy_period
-    command = SpeedCommand(library, [0.5, 1.0, 1.5], interval)
-    env = make(num_envs=50, replace={"command": command}, drop=["fall", "low_reward"])
-    walk = env.rollout(30, break_when_any_done=False)
-    before, after = walk["command"][..., 0], walk["next", "command"][..., 0]
-    assert set(after.unique().tolist()) == {0.5, 1.0, 1.5}
+    transform = seeded(SpeedCommand(library, [0.5, 1.0, 1.5], 10 * CASSIE.policy_period))
+    commands = [torch.full((200, 1), 0.5)]
+    for _ in range(60):
+        td = TensorDict(command=commands[-1], batch_size=200)
+        commands.append(transform._step(td, TensorDict(batch_size=200))["command"])
+    changes = torch.cat(commands, dim=-1).diff(dim=-1) != 0
+    assert set(commands[-1].flatten().tolist()) == {0.5, 1.0, 1.5}
     # one in three draws repeats the old speed
-    share = float((before != after).float().mean())
-    assert share == pytest.approx(0.1 * 2 / 3, abs=0.02)
-    held = (before == after).float().mean(1)
-    assert held.unique().numel() > 5
-
-
-def test_changes_of_the_command_follow_the_seed(make: MakeEnv, library: GaitLibrary) -> None:
-    walks = []
-    for seed in (3, 3, 4):
-        command = SpeedCommand(library, interval=0.3)
-        env = make(num_envs=4, seed=seed, replace={"command": command})
-        td = TensorDict(command=torch.ones(4, 1), batch_size=4)
-        walks.append(_walk(env, env.reset(td), 20)["command"])
-    assert torch.equal(walks[0], walks[1])
-    assert not torch.equal(walks[0], walks[2])
-
-
-@pytest.mark.parametrize("interval", [0.01, float("nan")])
-def test_the_interval_is_at_least_a_policy_step(library: GaitLibrary, interval: float) -> None:
-    with pytest.raises(ConfigurationError, match=f"interval.*{interval}"):
-        SpeedCommand(library, interval=interval)
-
-
-def test_phases_are_spread_over_the_stride(make: MakeEnv) -> None:
-    phase = make(num_envs=400).reset()["phase"]
-    assert ((phase >= 0) & (phase < 1)).all()
-    counts = torch.histc(phase, 10, 0, 1)
-    assert counts.min() >= 20
-    assert counts.max() <= 65
+    assert float(changes.float().mean()) == pytest.approx(0.1 * 2 / 3, abs=0.01)
+    assert changes.sum(-1).unique().numel() > 5
 
 
 def test_speeds_outside_the_library_are_refused(library: GaitLibrary) -> None:
@@ -114,6 +89,7 @@ def test_the_clock_advances_by_time_and_wraps(
     expected = [(0.95 + k * CASSIE.policy_period / stride.item()) % 1 for k in range(5)]
     assert phases == pytest.approx(expected, abs=1e-6)
     assert min(phases) < 0.2  # the phase has wrapped
+    assert env.reset(_start(speed, 1.25))["phase"].item() == pytest.approx(0.25)
 
 
 def test_a_caller_can_set_phase_and_command(make: MakeEnv) -> None:
@@ -129,11 +105,6 @@ def test_a_caller_can_set_phase_and_command(make: MakeEnv) -> None:
     only_command = env.reset(start.select("command"))
     torch.testing.assert_close(only_command["command"], start["command"])
     assert not torch.equal(only_command["phase"], start["phase"])
-
-
-def test_a_phase_outside_the_stride_is_wrapped(make: MakeEnv) -> None:
-    """The phase is a fraction in [0, 1), even if a caller passes 1 or more."""
-    assert make().reset(_start(1.0, 1.25))["phase"].item() == pytest.approx(0.25)
 
 
 def test_a_change_of_command_keeps_the_phase(make: MakeEnv, library: GaitLibrary) -> None:
@@ -192,16 +163,6 @@ def test_a_partial_reset_leaves_the_other_rows_alone(make: MakeEnv, backend: str
     )
 
 
-def test_each_partial_reset_draws_new_values(make: MakeEnv) -> None:
-    env = make(num_envs=2)
-    td = env.reset()
-    phases = set()
-    for _ in range(5):
-        td = env.maybe_reset(_end_some(td, [1]))
-        phases.add(td["phase"][1].item())
-    assert len(phases) == 5
-
-
 def test_the_initial_state_is_not_left_in_the_tensordict(make: MakeEnv) -> None:
     """The initial state is a request to the backend, not an entry of the episode."""
     request = _start(0.7, 0.2)
@@ -228,26 +189,10 @@ def test_a_command_that_is_not_finite_is_refused(make: MakeEnv, key: str) -> Non
     start[key] = torch.tensor([[0.5], [torch.nan]])
     with pytest.raises(ConfigurationError, match=f"{key} must be finite"):
         env.reset(start)
-
-
-def test_a_command_of_another_shape_is_refused(make: MakeEnv) -> None:
-    env = make(num_envs=2)
-    td = env.reset()
-    td["command"] = torch.zeros(2, 3)
-    td["action"] = torch.zeros(2, 10)
-    with pytest.raises(ShapeError, match="command must have shape"):
+    td = env.reset().set("action", torch.zeros(2, 10))
+    td[key][1] = torch.nan
+    with pytest.raises(ConfigurationError, match=f"{key} must be finite"):
         env.step(td)
-
-
-def _commands(td: TensorDictBase) -> Tensor:
-    return td["command"][..., 0]
-
-
-def test_the_command_is_held_through_an_episode(make: MakeEnv) -> None:
-    env = make(num_envs=8, drop=["low_reward"])
-    td = env.reset()
-    before = _commands(td).clone()
-    torch.testing.assert_close(_commands(_walk(env, td, 4)), before, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("speed", [-0.01, 2.01])
@@ -266,14 +211,103 @@ def test_a_keyword_of_reset_is_not_ignored(make: MakeEnv) -> None:
         make().reset(command=1.0)
 
 
-def test_a_change_of_command_acts_from_the_next_step_on(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    command = SpeedCommand(library, interval=CASSIE.policy_period)
-    env = make(num_envs=8, replace={"command": command}, drop=["fall", "low_reward"])
-    walk = env.rollout(5, break_when_any_done=False)
-    assert (walk["command"] != walk["next", "command"]).any()
-    advance = (walk["next", "phase"] - walk["phase"]) % 1
-    torch.testing.assert_close(
-        advance, CASSIE.policy_period / library.stride(walk["command"]), atol=1e-6, rtol=0
-    )
+PERIOD = 0.03
+
+
+@pytest.fixture(scope="module")
+def cut(library: GaitLibrary) -> GaitLibrary:
+    """Library over an octahedron of commands with the zero command in its middle."""
+    gait = library.gaits[0]
+
+    class Still(Bent):
+        def __init__(self, x: float, y: float, w: float) -> None:
+            super().__init__(gait, y, w)
+            self.command[0] = x
+
+    motions = [
+        Still(x, y, w)
+        for x in (-0.2, 0.0, 0.2)
+        for y in (-0.2, 0.0, 0.2)
+        for w in (-1.0, 0.0, 1.0)
+        if abs(x) / 0.2 + abs(y) / 0.2 + abs(w) <= 1
+    ]
+    return GaitLibrary.from_motions(motions, samples=8, missing=True)
+
+
+def test_commands_fill_a_region_that_is_no_box(cut: GaitLibrary) -> None:
+    command = seeded(VelocityCommand(cut, straight=0, turning=0, in_place=0)).draw((2000, 3))
+    gauge = command[:, 0].abs() / 0.2 + command[:, 1].abs() / 0.2 + command[:, 2].abs()
+    assert gauge.max() <= 1 + 1e-5
+    # uniform in an octahedron: the share within half its size is an eighth
+    assert float((gauge < 0.5).float().mean()) == pytest.approx(1 / 8, abs=0.03)
+    assert cut.covers(command).all()
+
+
+def test_shares_of_special_commands(cut: GaitLibrary) -> None:
+    command = seeded(VelocityCommand(cut, straight=0.3, turning=0.2, in_place=0.1)).draw((4000, 3))
+    zero = command == 0
+    kinds = {
+        "straight": (zero[:, 1] & zero[:, 2] & ~zero[:, 0], 0.3),
+        "turning": (zero[:, 0] & zero[:, 1] & ~zero[:, 2], 0.2),
+        "in place": (zero.all(-1), 0.1),
+        "any": (~zero.any(-1), 0.4),
+    }
+    for name, (rows, share) in kinds.items():
+        assert float(rows.float().mean()) == pytest.approx(share, abs=0.03), name
+
+
+def test_draws_follow_the_seed_and_shares_are_checked(cut: GaitLibrary) -> None:
+    first, second = seeded(VelocityCommand(cut)), seeded(VelocityCommand(cut))
+    assert torch.equal(first.draw((20, 3)), second.draw((20, 3)))
+    second.set_seed(1)
+    assert not torch.equal(first.draw((20, 3)), second.draw((20, 3)))
+    with pytest.raises(ConfigurationError, match="add up to at most 1"):
+        VelocityCommand(cut, straight=0.8, turning=0.3)
+    with pytest.raises(ConfigurationError, match="turning must be"):
+        VelocityCommand(cut, turning=-0.1)
+
+
+def test_special_commands_need_the_zero_command(library: GaitLibrary) -> None:
+    motions = [Bent(library.gaits[i], y, 0.1) for i in (4, 8) for y in (-0.2, 0.2)]
+    away = GaitLibrary.from_motions(motions, samples=8)
+    with pytest.raises(SpeedOutOfRangeError, match="0, 0, 0"):
+        VelocityCommand(away)
+    command = seeded(VelocityCommand(away, straight=0, turning=0, in_place=0)).draw((9, 3))
+    assert away.covers(command).all()
+
+
+def test_commands_outside_the_region_are_those_of_the_nearest_inside(cut: GaitLibrary) -> None:
+    command = torch.tensor([[0.1, 0.05, 0.2], [0.2, 0.2, 0.0], [0.3, 0.0, 0.0]])
+    assert cut.covers(command).tolist() == [[True], [False], [False]]
+    nearest = cut.nearest(command)
+    assert torch.equal(nearest[0], command[0])
+    torch.testing.assert_close(nearest[1:], torch.tensor([[0.1, 0.1, 0.0], [0.2, 0.0, 0.0]]))
+    with pytest.raises(ShapeError, match=r"\(\.\.\., 3\)"):
+        cut.covers(torch.zeros(2, 1))
+
+
+def test_speeds_alone_are_no_commands_of_several_axes() -> None:
+    with pytest.raises(ConfigurationError, match="3 numbers; use VelocityCommand"):
+        SpeedCommand(symmetric_library())
+
+
+# ------------------------------------------------------------------------ the filter
+
+
+def test_a_filtered_command_goes_straight_to_the_command_at_the_largest_rate() -> None:
+    past, command = torch.zeros(1, 3), torch.tensor([[0.6, 0.2, -1.2]])
+    rates, path = (2.0, 1.5, 2.0), [past]
+    while not torch.equal(path[-1], command):
+        path.append(approach_command(path[-1], command, rates))
+    # the yaw rate takes longest: 1.2 rad/s at 2 rad/s^2
+    assert len(path) - 1 == pytest.approx(0.6 / PERIOD, abs=1)
+    change = torch.cat(path).diff(dim=0).abs()
+    assert (change <= PERIOD * torch.tensor(rates) * (1 + 1e-5)).all()
+    shares = torch.cat(path[1:-1]) / command
+    torch.testing.assert_close(shares, shares[:, :1].expand_as(shares))
+
+
+def test_a_small_change_is_made_at_once() -> None:
+    past, command = torch.zeros(2, 1), torch.tensor([[0.06], [0.07]])
+    found = approach_command(past, command, (2.0,))
+    torch.testing.assert_close(found, torch.tensor([[0.06], [0.06]]))

@@ -17,13 +17,11 @@ import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
-from aslip.library import GaitLibrary
-from aslip.robot import CASSIE
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import evaluate, record_walks
 
-DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
+DEGREES = (0.0, 57.0, -172.0)
 ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]
 NUM = len(DEGREES)
 SPEED = 0.5
@@ -80,12 +78,8 @@ def _turned(library: aslip.GaitLibrary, **settings: object) -> StackEnv:
 # -------------------------------------------------------------------------- walking
 
 
-@pytest.mark.parametrize("noise", [True, False])
-def test_robots_that_start_turned_walk_as_straight_as_others(
-    library: aslip.GaitLibrary, noise: bool
-) -> None:
-    drop = EPISODE_ENDS if noise else (*EPISODE_ENDS, "noise")
-    env = _turned(library, drop=drop)
+def test_robots_that_start_turned_walk_as_straight_as_others(library: aslip.GaitLibrary) -> None:
+    env = _turned(library)
     results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, STEPS)
     for degrees, result in zip(DEGREES, results, strict=True):
         assert result.survived, degrees
@@ -111,57 +105,22 @@ def test_turned_robots_get_the_same_rewards_and_observations(library: aslip.Gait
         td = step_mdp(td)
 
 
-def test_turned_robots_walk_with_the_single_reference(library: aslip.GaitLibrary) -> None:
-    start = TurnedStart(GaitLibrary.load("single_reference"))
-    env = _turned(library, stack="single_reference", replace={"start": start})
-    results = evaluate(aslip.load_policy("single_reference"), env, [SPEED] * NUM, 60)
-    straight = results[0]
-    for result in results:
-        assert result.survived
-        for name, term in result.terms.items():
-            assert term == pytest.approx(straight.terms[name], abs=0.05), name
-
-
 def test_rewards_of_the_estimate_are_in_the_heading_frame(library: aslip.GaitLibrary) -> None:
-    env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
-    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
-    for result in results:
+    """Also of robots that start elsewhere."""
+    start = TurnedStart(library, place=(5.0, -3.0))
+    env = _turned(library, reward_on="estimate", replace={"start": start})
+    for result in evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30):
         assert result.terms["foot_orient"] > 0.85
         assert result.terms["straight_diff"] > 0.94
+        assert result.lateral_drift < 0.1
 
 
 def test_metrics_are_along_the_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    walks = record_walks(aslip.load_policy("straight"), env, np.full((40, NUM), SPEED))
+    walks = record_walks(aslip.load_policy("straight"), env, np.full((24, NUM), SPEED))
     assert np.abs(walks.pelvis_velocity[10:, :, 0].mean(0) - SPEED).max() < 0.1
     assert np.abs(walks.pelvis_position[..., 1]).max() < 0.1
     assert (walks.foot_position[:, :, 0, 1] > walks.foot_position[:, :, 1, 1]).all()
-
-
-def test_an_estimator_without_a_given_heading_takes_it_from_the_packets(
-    library: aslip.GaitLibrary,
-) -> None:
-    """By default, its heading is the yaw of its first packet."""
-    env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    policy, td, estimator = aslip.load_policy("straight"), env.reset(_start()), StateEstimator()
-
-    def packets(td: TensorDictBase) -> np.ndarray:
-        entries = [cast("Tensor", td["sensors", name]) for name in CASSIE.packet_sizes]
-        return torch.cat(entries, -1).double().numpy()
-
-    tracking, estimate = estimator.start(packets(td))
-    np.testing.assert_allclose(tracking.heading, ANGLES[:, 0], atol=1e-6)
-    for _ in range(40):
-        td = step_mdp(env.step(policy(td)))
-        estimate = estimator.update(tracking, packets(td))
-        truth = cast("TensorDictBase", td["true_odometry"])
-        np.testing.assert_allclose(estimate.velocity, truth["pelvis_velocity"], atol=0.12)
-        np.testing.assert_allclose(estimate.orientation, truth["pelvis_orientation"], atol=5e-3)
-    np.testing.assert_allclose(estimate.position, truth["pelvis_position"], atol=0.05)
-    for i, side in enumerate(("left", "right")):
-        np.testing.assert_allclose(
-            estimate.foot_position[:, i], truth[f"{side}_foot_position"], atol=0.05
-        )
 
 
 # --------------------------------------------------------------------- setting the heading
@@ -173,15 +132,15 @@ def test_the_heading_is_kept_and_can_be_set(library: aslip.GaitLibrary) -> None:
     td = env.reset(_start())
     torch.testing.assert_close(td["heading"], ANGLES.float(), atol=1e-6, rtol=0)
     assert float(td["heading"][0]) == 0.0
-    told = ANGLES.float() + 0.3
-    td = env.reset(_start(heading=told))
+    chosen = ANGLES.float() + 0.3
+    td = env.reset(_start(heading=chosen))
     for _ in range(3):
-        assert torch.equal(cast("Tensor", td["heading"]), told)
+        assert torch.equal(cast("Tensor", td["heading"]), chosen)
         yaw = _yaw(cast("Tensor", td["estimate", "orientation"]))
         torch.testing.assert_close(yaw, torch.full((NUM, 1), -0.3), atol=0.05, rtol=0)
         td = step_mdp(env.step(policy(td)))
     # a caller changes the heading between steps
-    td["heading"] = told - 0.3
+    td["heading"] = chosen - 0.3
     td = step_mdp(env.step(policy(td)))
     turned = _yaw(cast("Tensor", td["estimate", "orientation"]))
     torch.testing.assert_close(turned, yaw + 0.3, atol=0.1, rtol=0)
@@ -196,10 +155,10 @@ def _yaw(quaternion: Tensor) -> Tensor:
 def test_a_partial_reset_takes_the_true_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
     td = env.reset(_start(heading=torch.full((NUM, 1), 0.1)))
-    td["_reset"] = torch.tensor([[False], [True], [False], [True], [False]])
+    td["_reset"] = torch.tensor([[False], [True], [False]])
     td = env.reset(td)
     expected = torch.full((NUM, 1), 0.1)
-    expected[[1, 3]] = ANGLES.float()[[1, 3]]
+    expected[1] = ANGLES.float()[1]
     torch.testing.assert_close(td["heading"], expected, atol=1e-6, rtol=0)
 
 
@@ -210,8 +169,6 @@ def test_invalid_headings_are_refused(library: aslip.GaitLibrary) -> None:
     with pytest.raises(ShapeError, match="heading must have shape"):
         env.reset(_start(heading=torch.zeros(NUM)))
     packet = np.zeros(42)
-    with pytest.raises(ShapeError, match="heading must be"):
-        StateEstimator().start(packet, heading=[0.0, 1.0])
     with pytest.raises(ConfigurationError, match="heading must be finite"):
         StateEstimator().start(packet, heading=math.inf)
 
@@ -259,22 +216,12 @@ def test_odometry_does_not_depend_on_the_pose_of_the_world_frame() -> None:
         torch.testing.assert_close(entries[name], truth[name], atol=1e-7, rtol=0)
 
 
-def test_a_robot_that_starts_elsewhere_walks_straight_from_there(
-    library: aslip.GaitLibrary,
-) -> None:
-    env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
-    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
-    for result in results:
-        assert result.terms["straight_diff"] > 0.94
-        assert result.lateral_drift < 0.1
-
-
 # --------------------------------------------------------------------------- slopes
 
 SLOPE = 0.1
 
 
-@pytest.mark.parametrize("degrees", [0.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 90.0])
 def test_on_a_slope_truth_and_odometry_are_in_one_frame(
     library: aslip.GaitLibrary, degrees: float
 ) -> None:
@@ -330,32 +277,6 @@ def test_a_foot_flat_on_a_slope_has_the_slopes_pitch() -> None:
 
 
 # ------------------------------------------------------------------------ symmetry
-
-
-def test_the_heading_frame_is_symmetric(library: aslip.GaitLibrary) -> None:
-    """Mirrored truth and heading give mirrored odometry."""
-    truth = _truth(torch.Generator().manual_seed(2))
-    vector = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
-    quaternion = torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=torch.float64)
-
-    def mirrored(entries: dict[str, Tensor]) -> dict[str, Tensor]:
-        swap = {"left_foot": "right_foot", "right_foot": "left_foot", "pelvis": "pelvis"}
-        image = {}
-        for name in ODOMETRY_SIZES:
-            body, _, kind = name.rpartition("_")
-            image[f"{swap[body]}_{kind}"] = entries[name] * (
-                quaternion if kind == "orientation" else vector
-            )
-        return image
-
-    heading = torch.full((6, 1), 0.8, dtype=torch.float64)
-    origin = torch.tensor([[0.3, -0.2, 0.0]], dtype=torch.float64).expand(6, 3)
-    ours = mirrored(in_heading_frame(truth, heading, origin))
-    theirs = in_heading_frame(
-        mirrored(truth) | {"slope": truth["slope"]}, -heading, origin * vector
-    )
-    for name in ODOMETRY_SIZES:
-        torch.testing.assert_close(theirs[name], ours[name], atol=1e-12, rtol=0)
 
 
 def test_without_the_heading_frame_the_first_packet_gives_the_heading(

@@ -58,6 +58,28 @@ def test_every_entry_is_where_the_table_says(make: MakeEnv, when: str) -> None:
         torch.testing.assert_close(found, entry, rtol=0, atol=0)
 
 
+def test_no_element_of_the_observation_is_constant(make: MakeEnv) -> None:
+    """Except for the lateral foot velocities: the model's feet swing straight ahead."""
+    env = make(num_envs=4)
+    data = env.rollout(25, break_when_any_done=False)
+    spread = data["observation"].reshape(-1, 64).std(dim=0)
+    assert (spread == 0).nonzero().flatten().tolist() == CONSTANT
+    assert (spread[[i for i in range(64) if i not in CONSTANT]] > 1e-4).all()
+
+
+def test_other_entries_can_be_assembled(make: MakeEnv) -> None:
+    keys = ["command", ("estimate", "velocity"), "last_action"]
+    stack_order = {"observation": AssembleObservation(["command", ("estimate", "velocity")])}
+    env = make(num_envs=2, replace=stack_order)
+    td = env.reset()
+    assert td["observation"].shape == (2, 4)
+    torch.testing.assert_close(td["observation"][:, :1], td["command"])
+    check_env_specs(env)
+    # a transform cannot read what comes later in the stack
+    with pytest.raises(UnknownNameError, match="last_action"):
+        make(replace={"observation": AssembleObservation(keys)})
+
+
 def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
     env = make(num_envs=2, drop=["noise"], replace={"estimator": TrueState()})
     td = env.reset()
@@ -79,25 +101,3 @@ def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
     for name, size in ODOMETRY_SIZES.items():
         torch.testing.assert_close(td["odometry", name], truth[name], rtol=0, atol=0)
         assert truth[name].shape[-1] == size
-
-
-def test_no_element_of_the_observation_is_constant(make: MakeEnv) -> None:
-    """Except for the lateral foot velocities: the model's feet swing straight ahead."""
-    env = make(num_envs=4)
-    data = env.rollout(25, break_when_any_done=False)
-    spread = data["observation"].reshape(-1, 64).std(dim=0)
-    assert (spread == 0).nonzero().flatten().tolist() == CONSTANT
-    assert (spread[[i for i in range(64) if i not in CONSTANT]] > 1e-4).all()
-
-
-def test_other_entries_can_be_assembled(make: MakeEnv) -> None:
-    keys = ["command", ("estimate", "velocity"), "last_action"]
-    stack_order = {"observation": AssembleObservation(["command", ("estimate", "velocity")])}
-    env = make(num_envs=2, replace=stack_order)
-    td = env.reset()
-    assert td["observation"].shape == (2, 4)
-    torch.testing.assert_close(td["observation"][:, :1], td["command"])
-    check_env_specs(env)
-    # a transform cannot read what comes later in the stack
-    with pytest.raises(UnknownNameError, match="last_action"):
-        make(replace={"observation": AssembleObservation(keys)})

@@ -70,11 +70,11 @@ def test_a_pelvis_at_rest_in_the_frame_has_the_commanded_velocity() -> None:
 
 def test_on_a_slope_the_origin_stays_on_the_floor_below_the_way() -> None:
     slope, heading = torch.full((1, 1), 0.1), torch.full((1, 1), 0.7)
-    way = torch.tensor([[0.2, -0.1, 0.0]])
-    origin = move_origin(torch.zeros(1, 3), heading, way, slope)
+    displacement = torch.tensor([[0.2, -0.1, 0.0]])
+    origin = move_origin(torch.zeros(1, 3), heading, displacement, slope)
     assert origin[0, 2].abs() < 1e-7
     seen = rotate_inverse(heading_to_world(slope, heading), origin)
-    torch.testing.assert_close(seen[:, :2], way[:, :2])
+    torch.testing.assert_close(seen[:, :2], displacement[:, :2])
 
 
 def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
@@ -83,13 +83,13 @@ def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
     entries = {"pelvis_position": place, "pelvis_velocity": torch.ones(2, 3)}
     found = place_in_path(entries, torch.ones(2, 3) * torch.tensor([1, 1, 0]), heading)
     assert torch.equal(found["pelvis_position"][0], place[0])
-    way = (5 - LEASH) * PERIOD / LEASH_TIME
-    expected = torch.tensor([[0.03, -0.02], [0.6 * (5 - way), 0.8 * (5 - way)]])
+    displacement = (5 - LEASH) * PERIOD / LEASH_TIME
+    expected = torch.tensor([[0.03, -0.02], [0.6 * (5 - displacement), 0.8 * (5 - displacement)]])
     torch.testing.assert_close(found["path_error"], expected)
     assert torch.equal(found["pelvis_position"][:, 2], place[:, 2])
     assert torch.equal(found["pelvis_velocity"], entries["pelvis_velocity"])
     # the frame's x is the world's y
-    moved = way * torch.tensor([-0.8, 0.6, 0.0])
+    moved = displacement * torch.tensor([-0.8, 0.6, 0.0])
     expected = torch.stack([torch.zeros(3), moved]) + torch.tensor([1.0, 1.0, 0.0])
     torch.testing.assert_close(found["origin"], expected)
     assert torch.equal(dragged(place[:1]), torch.zeros(1, 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import torch
@@ -14,10 +14,9 @@ from aslip.envs import Stack, StackEnv, default_stack, insert_before, randomise_
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
-from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics
+from aslip.transforms import DYNAMICS_RANGES, RandomDynamics
 from tests.helpers import MakeEnv, differing
 
-BACKENDS = ("batch", "dm_control")
 Ranges = Mapping[str, tuple[float, float]]
 # all parameters, at their defaults
 NOMINAL: Ranges = {
@@ -49,13 +48,12 @@ def _dynamics(td: TensorDictBase) -> dict[str, torch.Tensor]:
 # --------------------------------------------------------- no randomisation
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_ranges_of_zero_width_at_the_defaults_change_nothing(
-    make: MakeEnv, library: GaitLibrary, backend: str
+    make: MakeEnv, library: GaitLibrary
 ) -> None:
     """Bit for bit, through falls and resets."""
-    default = _rollout(make(backend, num_envs=2, seed=3), 30)
-    env = make(backend, num_envs=2, seed=3, stack=_stack(library, NOMINAL))
+    default = _rollout(make(num_envs=2, seed=3), 30)
+    env = make(num_envs=2, seed=3, stack=_stack(library, NOMINAL))
     rollout = _rollout(env, 30)
     assert default["next", "done"].any()
     assert not env.base_env.altered
@@ -112,20 +110,6 @@ def test_draws_fill_their_ranges(make: MakeEnv, library: GaitLibrary) -> None:
     assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / math.sqrt(num)
 
 
-def test_reported_parameters_are_those_of_the_simulation(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    env = make(num_envs=4, stack=_stack(library, DYNAMICS_RANGES))
-    td = env.reset()
-    for name, values in env.base_env.dynamics.items():
-        if name not in DYNAMICS_RANGES:
-            continue
-        # delays are rounded to physics steps
-        within = 0.00026 if name == "torque_delay" else 1e-6
-        difference = (td["dynamics", name][:, 0] - torch.tensor(values)).abs().max()
-        assert difference < within, name
-
-
 def test_the_same_seed_draws_the_same(make: MakeEnv, library: GaitLibrary) -> None:
     """Draws do not depend on other transforms or on other ranges."""
     friction = {"floor_friction": DYNAMICS_RANGES["floor_friction"]}
@@ -143,14 +127,10 @@ def test_the_same_seed_draws_the_same(make: MakeEnv, library: GaitLibrary) -> No
     assert not set(draws(2, several)) & set(first)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_only_reset_robots_get_new_parameters(
-    make: MakeEnv, library: GaitLibrary, backend: str
-) -> None:
+def test_only_reset_robots_get_new_parameters(make: MakeEnv, library: GaitLibrary) -> None:
     """Until then, robots keep their values, even if only one has a longer delay."""
-    env = make(
-        backend, num_envs=3, stack=_stack(library, {**DYNAMICS_RANGES, "torque_delay": (0.0, 0.02)})
-    )
+    ranges = {**DYNAMICS_RANGES, "torque_delay": (0.0, 0.02)}
+    env = make(num_envs=3, stack=_stack(library, ranges))
     td = _rollout(env, 30)
     done = td["next", "done"][:, :-1, 0]
     assert done.any()
@@ -162,17 +142,6 @@ def test_only_reset_robots_get_new_parameters(
     last = td["next"][:, -1]
     held = torch.tensor(env.base_env.dynamics["mass"]).float()[~last["done"][:, 0]]
     torch.testing.assert_close(held, last["dynamics", "mass"][~last["done"][:, 0], 0])
-
-
-def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> None:
-    """Also with different dynamics for each robot."""
-    ranges = {**DYNAMICS_RANGES, "payload": (0.0, 5.0), "torque_delay": (0.0, 0.01)}
-    rollouts = [
-        _rollout(make(backend, num_envs=2, stack=_stack(library, ranges)), 25)
-        for backend in BACKENDS
-    ]
-    assert rollouts[0]["next", "done"].any()
-    assert differing(*rollouts) == []
 
 
 def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> None:
@@ -195,9 +164,8 @@ def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> 
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"mass": (1.2, 0.8)}, r"mass.*0\.2 to 5.*1\.2 to 0\.8"),
-        ({"floor_friction": (0.0, 1.0)}, r"floor_friction.*0\.01 to 5.*0\.0 to 1\.0"),
-        ({"torque_delay": (0.0, 0.1)}, r"torque_delay.*0 to 0\.03.*0\.0 to 0\.1"),
+        ({"mass": (1.2, 0.8)}, r"mass.*\(low, high\), got \(1\.2, 0\.8\)"),
+        ({"floor_friction": (0.0, 1.0)}, r"floor_friction.*0\.01 to 5, got 0\.0"),
         ({"sensor_noise": (math.nan, 1.0)}, r"sensor_noise.*nan"),
     ],
 )
@@ -233,7 +201,7 @@ def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
 def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
     """With the same seed, a factor of two doubles the error exactly, and zero removes it."""
     settings: dict[str, Any] = {"num_envs": 1, "seed": 4, "drop": ["low_reward"]}
-    clean = make(**settings, replace={"noise": ObservationNoise(scale=0)})
+    clean = make(**settings | {"drop": ["low_reward", "noise"]})
     errors = {}
     for factor in (0.0, 1.0, 2.0):
         stack = _stack(library, {"sensor_noise": (factor, factor)})
@@ -242,34 +210,3 @@ def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> No
     assert errors[1.0].min() > 0
     torch.testing.assert_close(errors[2.0], 2 * errors[1.0], rtol=1e-3, atol=0)
     assert not errors[0.0].any()
-
-
-def test_the_error_of_the_attitude_is_scaled_by_the_factor(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    env = make(num_envs=2, stack=_stack(library, {"sensor_noise": (0.0, 100.0)}))
-    chosen = TensorDict(sensor_noise=torch.tensor([[0.0], [100.0]]), batch_size=2)
-    start = {"phase": torch.zeros(2, 1), "command": torch.zeros(2, 1), "dynamics": chosen}
-    td = env.reset(TensorDict(start, batch_size=2))
-    true = td["truth", "pelvis_orientation"][:, None]
-    cosine = (td["sensors", "orientation"] * true).sum(-1).abs()
-    assert cosine[0].min() > 1 - 1e-6
-    assert cosine[1].min() < 1 - 1e-4
-
-
-def test_a_partial_reset_draws_a_noise_factor(make: MakeEnv, library: GaitLibrary) -> None:
-    """Its error is the drawn factor times the error at a factor of one."""
-    packets = []
-    for scale, ranges in ((1.0, (0.5, 50.0)), (1.0, (1.0, 1.0)), (0.0, (0.5, 50.0))):
-        stack = _stack(library, {"sensor_noise": ranges})
-        env = make(num_envs=3, stack=stack | {"noise": ObservationNoise(scale=scale)})
-        td = env.reset()
-        td["_reset"] = torch.tensor([[False], [False], [True]])
-        td = env.reset(td)
-        packets.append(td["sensors", "accelerometer"])
-    factor = cast("torch.Tensor", td["dynamics", "sensor_noise"])
-    assert (factor[:2] - factor[2]).abs().min() > 1
-    noisy, nominal, clean = packets
-    torch.testing.assert_close(
-        noisy - clean, factor[..., None] * (nominal - clean), rtol=1e-3, atol=1e-3
-    )

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.envs.transforms import RewardSum
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import default_stack, insert_before
+from aslip.envs import default_stack
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
-from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward, rewards
+from aslip.transforms import RewardTerm, SpeedCommand, WeightedReward, rewards
 from tests.helpers import MakeEnv
 
 TERMS = list(rewards.PAPER_WEIGHTS)
@@ -56,32 +53,8 @@ def test_terms_are_the_pure_functions_of_their_entries(make: MakeEnv) -> None:
         assert ((value > 0) & (value <= 1)).all()
 
 
-def test_the_reward_is_the_weighted_sum(make: MakeEnv) -> None:
-    data = _step(make(num_envs=4))
-    terms = data["next", "reward_terms"]
-    expected = (
-        0.3 * terms["com_vel"]
-        + 0.3 * terms["foot_pos"]
-        + 0.1 * terms["straight_diff"]
-        + 0.2 * terms["foot_orient"]
-        + 0.1 * terms["action_diff"]
-    )
-    torch.testing.assert_close(data["next", "reward"], expected)
-    assert (expected > 0.3).all()  # on the reference
-    torch.testing.assert_close(data["next", "episode_reward"], expected)
-
-
-def test_on_the_reference_the_reward_is_nearly_full(make: MakeEnv) -> None:
-    """One step after a start at rest, feet, velocity and heading are close to the reference."""
-    terms = _step(make(num_envs=16))["next", "reward_terms"]
-    assert terms["action_diff"].min() == 1
-    assert terms["straight_diff"].min() > 0.95
-    assert terms["foot_pos"].mean() > 0.8
-    assert terms["com_vel"].mean() > 0.7
-
-
-@pytest.mark.parametrize("name", ["com_vel", "action_diff"])
-def test_terms_can_be_left_out(make: MakeEnv, name: str) -> None:
+def test_terms_can_be_left_out(make: MakeEnv) -> None:
+    name = "com_vel"
     env = make(num_envs=2, drop=[name])
     data = _step(env)
     terms = data["next", "reward_terms"]
@@ -91,29 +64,6 @@ def test_terms_can_be_left_out(make: MakeEnv, name: str) -> None:
     check_env_specs(env)
 
 
-def test_a_term_of_weight_zero_is_still_logged(make: MakeEnv) -> None:
-    weights = {**rewards.PAPER_WEIGHTS, "com_vel": 0.0}
-    data = _step(make(replace={"reward": WeightedReward(weights)}))
-    terms = data["next", "reward_terms"]
-    assert "com_vel" in set(terms.keys())
-    rest = data["next", "reward"] + 0.3 * terms["com_vel"]
-    torch.testing.assert_close(rest, _step(make())["next", "reward"])
-
-
-def test_a_custom_term_is_added_to_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
-    near = RewardTerm(
-        "height", lambda height: (-(height - 1).abs()).exp(), [("estimate", "height")]
-    )
-    stack = insert_before(default_stack(library), "reward", height=near)
-    stack["reward"] = WeightedReward({**rewards.PAPER_WEIGHTS, "height": 0.5})
-    env = make(num_envs=2, stack=stack)
-    with_height = _step(env)["next"]
-    check_env_specs(env)
-    expected = 0.5 * (-(with_height["estimate", "height"] - 1).abs()).exp()
-    plain = _step(make(num_envs=2))["next", "reward"]
-    torch.testing.assert_close(with_height["reward"], plain + expected)
-
-
 # -------------------------------------------------------------------- misuse
 
 
@@ -121,13 +71,6 @@ def test_a_term_without_a_weight_is_refused(make: MakeEnv) -> None:
     weights = {name: 0.2 for name in TERMS if name != "foot_orient"}
     with pytest.raises(UnknownNameError, match=r"no weight for the reward terms \['foot_orient'\]"):
         make(replace={"reward": WeightedReward(weights)})
-
-
-def test_a_negative_weight_is_a_penalty() -> None:
-    terms = TensorDict(reward_terms=TensorDict(speed=torch.ones(2, 1), torque=torch.ones(2, 1)))
-    transition = TensorDict(next=terms.auto_batch_size_(1), batch_size=2)
-    found = WeightedReward({"speed": 1.0, "torque": -1e-5})(transition)["next", "reward"]
-    assert torch.equal(found, torch.full((2, 1), 1 - 1e-5))
 
 
 def test_a_term_that_reads_a_missing_entry_is_refused(make: MakeEnv) -> None:
@@ -153,7 +96,7 @@ def _constant(value: float) -> RewardTerm:
 
 @pytest.mark.parametrize(
     ("value", "ends"),
-    [(0.0, True), (0.29, True), (0.31, False), (1.0, False), (float("nan"), True)],
+    [(0.29, True), (0.3, False), (float("nan"), True)],
 )
 def test_a_low_reward_ends_the_episode(make: MakeEnv, value: float, ends: bool) -> None:
     """A reward below 0.3, or NaN, terminates; it does not truncate."""
@@ -166,25 +109,6 @@ def test_a_low_reward_ends_the_episode(make: MakeEnv, value: float, ends: bool) 
     after = _step(env)["next"]
     for key, expected in (("terminated", ends), ("done", ends), ("truncated", False)):
         assert after[key][:, 0].tolist() == [expected] * 2, key
-
-
-def test_a_reward_equal_to_the_threshold_does_not_end_the_episode(make: MakeEnv) -> None:
-    """Sec. IV-B: "less than 0.3"."""
-    settings = {
-        "com_vel": _constant(0.5),
-        "reward": WeightedReward({"com_vel": 1.0}),
-        "low_reward": LowReward(threshold=0.5),
-    }
-    names = [name for name in TERMS if name != "com_vel"]
-    assert not _step(make(drop=names, replace=settings))["next", "done"].any()
-
-
-def test_without_the_threshold_a_low_reward_does_not_end_the_episode(make: MakeEnv) -> None:
-    names = [name for name in TERMS if name != "com_vel"]
-    settings = {"com_vel": _constant(0.0), "reward": WeightedReward({"com_vel": 1.0})}
-    after = _step(make(drop=[*names, "low_reward"], replace=settings))["next"]
-    assert after["reward"].item() == 0
-    assert not after["done"].any()
 
 
 def test_the_step_limit_truncates_and_does_not_terminate(make: MakeEnv) -> None:
@@ -201,33 +125,8 @@ def test_the_step_limit_truncates_and_does_not_terminate(make: MakeEnv) -> None:
     assert not td["terminated"].any()
 
 
-def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:
-    env = make(num_envs=3, drop=["low_reward"])
-    data = env.rollout(5, lambda td: td.set("action", torch.zeros(3, 10)))
-    expected = data["next", "reward"].cumsum(dim=1)
-    torch.testing.assert_close(data["next", "episode_reward"], expected)
-
-
-def test_the_sum_equals_torchrls_through_partial_resets(make: MakeEnv) -> None:
-    env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
-    env.append_transform(RewardSum(in_keys=["reward"], out_keys=["other_sum"]))
-    generator = torch.Generator().manual_seed(0)
-    data = env.rollout(
-        30,
-        lambda td: td.set("action", 0.3 * torch.randn(3, 10, generator=generator)),
-        break_when_any_done=False,
-    )
-    done = data["next", "done"][..., 0]
-    assert (done.any(0) & ~done.all(0)).any()  # some robots were reset while others continued
-    for level in (data, data["next"]):
-        assert torch.equal(level["episode_reward"], level["other_sum"])
-
-
-@pytest.mark.parametrize(
-    "function", [lambda v: v.abs().sum(-1), lambda v: v.abs().mean(), lambda v: v.abs()]
-)
-def test_a_term_of_the_wrong_shape_is_named(make: MakeEnv, function: Any) -> None:
-    term = RewardTerm("com_vel", function, [("truth", "pelvis_velocity")])
+def test_a_term_of_the_wrong_shape_is_named(make: MakeEnv) -> None:
+    term = RewardTerm("com_vel", lambda v: v.abs().sum(-1), [("truth", "pelvis_velocity")])
     env = make(num_envs=3, replace={"com_vel": term})
     with pytest.raises(ShapeError, match=r"'com_vel' must have shape \(3, 1\).*keepdim"):
         env.rollout(2)
@@ -236,7 +135,7 @@ def test_a_term_of_the_wrong_shape_is_named(make: MakeEnv, function: Any) -> Non
 # ------------------------------------------------------- a change of command
 
 
-@pytest.mark.parametrize("stack", ["default", "paper", "single_reference"])
+@pytest.mark.parametrize("stack", ["default", "single_reference"])
 def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack: str) -> None:
     """The reward of the step in which it is written follows the old command."""
     found = []

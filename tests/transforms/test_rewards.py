@@ -14,7 +14,6 @@ from aslip.transforms import rewards
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse
 
 LEVEL = torch.tensor([1.0, 0.0, 0.0, 0.0])
-ZERO = torch.zeros(3)
 
 
 def _about(axis: tuple[float, float, float], angle: float) -> Tensor:
@@ -112,13 +111,6 @@ def test_every_term_is_between_zero_and_one(seed: int) -> None:
         assert reward.min() < 0.1, name
 
 
-def test_terms_take_any_leading_shape() -> None:
-    inputs = {name: value.reshape(5, 100, -1) for name, value in _random(0).items()}
-    flat = _terms(_random(0))
-    for name, reward in _terms(inputs).items():
-        torch.testing.assert_close(reward.reshape(500, 1), flat[name])
-
-
 def _turned(x: dict[str, Tensor], angle: float, names: tuple[str, ...]) -> dict[str, Tensor]:
     """Inputs with the whole robot rotated about the world's z axis."""
     yaw = _about((0, 0, 1), angle).expand(500, 4)
@@ -171,14 +163,6 @@ def _mirrored(x: dict[str, Tensor]) -> dict[str, Tensor]:
 def test_every_term_is_mirror_symmetric(name: str) -> None:
     x = _random(6)
     torch.testing.assert_close(_terms(_mirrored(x))[name], _terms(x)[name], atol=2e-5, rtol=1e-3)
-
-
-@pytest.mark.parametrize("name", ["orientation", "left_q", "right_q"])
-def test_the_sign_of_a_quaternion_does_not_matter(name: str) -> None:
-    x = _random(7)
-    flipped = {**x, name: -x[name]}
-    for term, reward in _terms(x).items():
-        torch.testing.assert_close(_terms(flipped)[term], reward, atol=1e-4, rtol=1e-3)
 
 
 # -------------------------------------------------------------------- on turns

@@ -39,13 +39,6 @@ def test_multiply_and_conjugate_equal_scipy() -> None:
     _equal(product, expected)
 
 
-def test_multiply_broadcasts_one_frame_over_several_bodies() -> None:
-    (a, first), (b, second) = _quaternions(3), _quaternions(4)
-    product = rotation.multiply(a[:1].expand(1, 4), b)
-    expected = (first[0] * second).as_quat(scalar_first=True, canonical=True)
-    _equal(rotation.upper_hemisphere(product), expected)
-
-
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 1.0, 3.0])
 def test_from_vector_equals_scipy(size: float) -> None:
     vector = size * torch.nn.functional.normalize(torch.randn(NUM, 3, dtype=torch.float64), dim=-1)

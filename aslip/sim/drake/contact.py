@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from aslip.errors import ConfigurationError
+from aslip.base.checks import TINY, check_number
 
 
 @dataclass(frozen=True)
@@ -32,6 +30,5 @@ class Contact:
     def __post_init__(self) -> None:
         """Check the numbers."""
         for name in ("stiffness", "dissipation", "relaxation_time"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and (value > 0 or (value == 0 and name != "stiffness"))):
-                raise ConfigurationError(f"{name} of the contact must be positive, got {value!r}")
+            least = TINY if name == "stiffness" else 0.0
+            check_number(f"{name} of the contact", getattr(self, name), least)

@@ -18,7 +18,7 @@ from aslip.sim.drake.coordinates import Coordinates
 from aslip.sim.drake.plant import Mechanism, placed
 from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.sensors import Sensors
-from aslip.sim.truth import Snapshot, positive_power
+from aslip.sim.truth import PeriodLoads, Snapshot
 
 
 class DrakeSimulation:
@@ -66,6 +66,7 @@ class DrakeSimulation:
         self._after = diagram.AllocateDiscreteVariables()
         self._coordinates = Coordinates(self._plant, robot)
         self._drive, self._pushed = drive(1, robot), False
+        self._loads = PeriodLoads(1, self.indices)
         # a motor's place among Drake's inputs
         actuators = [self._plant.GetJointActuatorByName(name) for name in robot.motor_names]
         self._inputs = np.array([actuator.input_start() for actuator in actuators])
@@ -96,9 +97,7 @@ class DrakeSimulation:
         self._plant.SetPositionsAndVelocities(self._state, self._coordinates.to_drake(qpos, qvel))
         self._delayed[:] = 0.0
         self._torque = np.zeros((1, len(self._inputs)))
-        self._ground_force = np.zeros((1, 2, 3))
-        self._motor_power = np.zeros((1, len(self._inputs)))
-        self._largest_force = np.zeros((1, 2))
+        self._loads.clear()
         self._read_state()
         # accelerations of a robot at rest on the floor
         self._acceleration = np.zeros_like(self._qvel)
@@ -119,17 +118,14 @@ class DrakeSimulation:
             if value is not None and value.shape != expected[name]:
                 raise ShapeError(f"{name} must have shape {expected[name]}, got {value.shape}")
         self._push(np.zeros(3) if push is None else push[0])
-        self._ground_force[:] = 0.0
-        self._motor_power[:] = 0.0
-        self._largest_force[:] = 0.0
+        self._loads.clear()
         try:
             for index in range(self.robot.substeps):
                 self._substep(index, motor_target)
             finite = np.isfinite(np.concatenate([self._qpos, self._qvel], axis=1)).all()
         except RuntimeError:  # Drake's solver found no solution
             finite = False
-        self._ground_force /= self.robot.substeps
-        self._motor_power /= self.robot.substeps
+        self._loads.average(self.robot.substeps)
         self.sensors.finish()
         if not finite:
             self.divergences += 1
@@ -162,7 +158,7 @@ class DrakeSimulation:
                 - foot.EvalPoseInWorld(self._state).translation()
             )
             readings[0, self.indices.foot_velocity[i]] = motion.Shift(arm).translational()
-        readings[:, self.indices.ground_force] = self._ground_force
+        readings[:, self.indices.ground_force] = self._loads.ground_force
         return Snapshot(
             self._qpos,
             self._qvel,
@@ -170,10 +166,10 @@ class DrakeSimulation:
             position,
             matrix,
             readings,
-            self._ground_force.copy(),
+            self._loads.ground_force.copy(),
             self._joint_torque(),
-            self._motor_power.copy(),
-            self._largest_force.copy(),
+            self._loads.motor_power.copy(),
+            self._loads.largest_force.copy(),
         )
 
     def states(self) -> np.ndarray:
@@ -192,13 +188,11 @@ class DrakeSimulation:
         inputs[self._inputs] = self._torque[0]
         self._actuation.GetMutableData().set_value(inputs)
         force = self._forces()
-        self._ground_force += force
-        np.maximum(self._largest_force, force[..., 2], out=self._largest_force)
         self._diagram.CalcForcedDiscreteVariableUpdate(self._context, self._after)
         self._context.SetDiscreteState(self._after)
         before = self._qvel
         self._read_state()
-        self._motor_power += positive_power(self._joint_torque(), self._qvel, self.indices)
+        self._loads.add(force[None], self._joint_torque(), self._qvel)
         self._acceleration = (self._qvel - before) / self.robot.physics_timestep
         sensors.feel(index, self._acceleration)
 

@@ -1,32 +1,15 @@
 """Visual geoms do not affect the physics."""
 
-import xml.etree.ElementTree as ElementTree
-
 import mujoco
 import numpy as np
 import pytest
 
-from aslip.base.assets import asset_path
 from aslip.robot.model import load_model
 
 APPEARANCE_GROUP = 1
 PHYSICS_ARRAYS = ("body_", "jnt_", "dof_", "actuator_", "eq_", "sensor_", "site_", "key_", "qpos")
 # addresses among geoms; and a length from bounding boxes, read only by MuJoCo's sleeping, not used
 ADDRESSES = {"body_geomadr", "body_geomnum", "sensor_refid", "dof_length"}
-
-
-def bare_model() -> mujoco.MjModel:
-    """Model without visual geoms."""
-    root = ElementTree.parse(asset_path("cassie.xml")).getroot()
-    for parent in list(root.iter()):
-        for child in list(parent):
-            look = child.tag in ("light", "camera", "texture", "material")
-            if look or (child.tag == "geom" and child.get("class") == "visual"):
-                parent.remove(child)
-            elif child.tag == "visual":
-                root.remove(child)
-            child.attrib.pop("material", None)
-    return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +19,7 @@ def model() -> mujoco.MjModel:
 
 @pytest.fixture(scope="module")
 def bare() -> mujoco.MjModel:
-    return bare_model()
+    return load_model(visual=False)
 
 
 def solid(model: mujoco.MjModel) -> np.ndarray:

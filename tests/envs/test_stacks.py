@@ -57,23 +57,6 @@ def test_drop_takes_a_single_name(make: MakeEnv) -> None:
     assert set(terms.keys()) == set(reward_terms()) - {"foot_orient"}
 
 
-@pytest.mark.parametrize("name", ["step_limit", "start"])
-def test_unused_transforms_can_be_dropped(make: MakeEnv, name: str) -> None:
-    check_env_specs(make(num_envs=2, drop=[name]))
-
-
-def test_edits_of_one_environment_do_not_affect_another(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    stack = default_stack(library)
-    names = list(stack)
-    make(stack=stack, drop=["foot_orient"])
-    assert list(stack) == names
-    both = [make(stack=stack), make(stack=stack)]
-    for env in both:
-        assert set(env.observation_spec["reward_terms"].keys()) == set(reward_terms())
-
-
 def test_steps_and_resets_build_no_specs(
     make: MakeEnv, library: GaitLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,13 +173,6 @@ def test_reward_terms_can_be_inserted_before_the_sum(library: GaitLibrary) -> No
     torch.testing.assert_close(after["reward"], rest + 5.0)
     with pytest.raises(UnknownNameError, match="no transform 'sum'"):
         insert_before(stack, "sum", late=_constant_term())
-
-
-def test_random_numbers_of_a_transform_do_not_depend_on_others(library: GaitLibrary) -> None:
-    full = make_env(num_envs=8, seed=3, library=library).reset()
-    other = make_env(num_envs=8, seed=3, library=library, drop=["start", "com_vel"]).reset()
-    torch.testing.assert_close(full["command"], other["command"], rtol=0, atol=0)
-    torch.testing.assert_close(full["phase"], other["phase"], rtol=0, atol=0)
 
 
 def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:

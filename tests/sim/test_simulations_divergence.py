@@ -93,14 +93,6 @@ def test_divergence_affects_one_simulation_only(damage: Break) -> None:
     assert broken.divergences == 1
 
 
-def test_all_simulations_may_diverge_at_once() -> None:
-    simulations = Simulations(2, num_threads=1)
-    assert simulations.advance(np.full((2, 10), np.nan)).all()
-    assert simulations.divergences == 2
-    standing = simulations.model.key("standing").qpos
-    np.testing.assert_array_equal(simulations.snapshot().qpos, [standing] * 2)
-
-
 def test_simulations_that_diverge_write_one_warning_and_no_file(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -8,13 +8,11 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 
-import aslip
 from aslip.envs import BatchEnv, DmControlEnv
 from aslip.robot import CASSIE
 from aslip.sim import PD, Torque
-from tests.helpers import MakeEnv
 
 MAKERS = [partial(BatchEnv, num_threads=1), DmControlEnv]
 
@@ -101,17 +99,3 @@ def test_gains_of_the_pd_loop_differ_from_robot_to_robot(make: type[BatchEnv]) -
     # also in simulations with a longer memory of commands
     env.set_dynamics({"torque_delay": 0.006})
     assert (_step(env, target)["truth", "motor_torque"][1] == 0).all()
-
-
-def test_reset_requests_may_set_gains(make: MakeEnv) -> None:
-    env = make(num_envs=2)
-    request = TensorDict({("dynamics", "pd_stiffness"): torch.tensor([[1.0], [0.5]])}, batch_size=2)
-    env.reset(request)
-    np.testing.assert_array_equal(env.base_env.dynamics["pd_stiffness"], [1.0, 0.5])
-
-
-def test_stacks_run_on_another_low_level() -> None:
-    base = partial(BatchEnv, drive=Torque)
-    env = aslip.make_env(base=base, num_envs=2, drop=["low_reward", "fall"], seed=0)
-    assert torch.isfinite(env.rollout(3)["next", "observation"]).all()
-    env.close()
