@@ -23,7 +23,7 @@ class TrainingLoop:
         run: folder of the run.
         progress: state of the training.
         batches: batches of the collector.
-        keep: copies the state of the training for the next checkpoint, see `TrainingRun.saving`.
+        checkpoint: function of `TrainingRun.checkpointing`.
         eval_interval: policy steps between evaluations.
     """
 
@@ -32,11 +32,11 @@ class TrainingLoop:
         run: TrainingRun,
         progress: Progress,
         batches: Iterator[TensorDict],
-        keep: Callable[[int, Mapping[str, Any]], None],
+        checkpoint: Callable[[int, Mapping[str, Any]], None],
         eval_interval: int,
     ) -> None:
         self.progress = progress
-        self._run, self._batches, self._keep = run, batches, keep
+        self._run, self._batches, self._checkpoint = run, batches, checkpoint
         self._interval = eval_interval
 
     @property
@@ -74,7 +74,7 @@ class TrainingLoop:
             means: means of an evaluation.
         """
         self._run.log(self.step, {**self.progress.row(data, losses), **means})
-        self._keep(self.step, self.progress.state())
+        self._checkpoint(self.step, self.progress.state())
 
 
 @contextmanager
@@ -91,7 +91,7 @@ def training_loop(
             `num_envs`, `eval_interval` and `checkpoint_minutes`.
 
     Raises:
-        TrainingStoppedError: as in `TrainingRun.saving`.
+        TrainingStoppedError: as in `TrainingRun.checkpointing`.
         FileDamagedError: as in `TrainingRun.restore`.
     """
     # PyTorch counts the processors of the machine, not those of a container's quota
@@ -104,5 +104,6 @@ def training_loop(
     print(run.announcement(title, progress), flush=True)
     here = isinstance(collector, LocalCollector)
     batches = progress.watch(collector, actor if here else None, settings.num_envs)
-    with progress, collector, run.saving(components, settings.checkpoint_minutes) as keep:
-        yield TrainingLoop(run, progress, batches, keep, settings.eval_interval)
+    minutes = settings.checkpoint_minutes
+    with progress, collector, run.checkpointing(components, minutes) as checkpoint:
+        yield TrainingLoop(run, progress, batches, checkpoint, settings.eval_interval)

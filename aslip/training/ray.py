@@ -34,11 +34,12 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from operator import methodcaller
 from typing import Any, Final, Self, cast
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.utils import NestedKey, unravel_key
 from torch import nn
 from torchrl.collectors import BaseCollector, Collector
@@ -131,7 +132,9 @@ class RayCollectors:
                 collector.update_policy_weights_(self._actor)
                 data = next(batches).unbind(0)
                 self._batches += 1
-                yield _joined(data)
+                batch = cast("TensorDict", torch.cat(data, 0))
+                batch.names = [None] * (batch.ndim - 1) + ["time"]
+                yield batch
         except (ConfigurationError, GeneratorExit):
             raise
         except Exception as error:  # the type of exception depends on how the process was lost
@@ -139,7 +142,7 @@ class RayCollectors:
                 f"a collector was lost ({type(error).__name__}: {error})"
             ) from error
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, int]:
         """State: the number of batches, without the robots."""
         return {"batches": self._batches}
 
@@ -192,7 +195,7 @@ class RayCollectors:
             backend_options={
                 "collector_kwargs": {
                     **TORCHRL_SETTINGS,
-                    "postproc": partial(_select_sent, keys=self.sent),
+                    "postproc": methodcaller("select", *self.sent, strict=False),
                 },
                 "remote_configs": {"num_cpus": threads, "scheduling_strategy": "SPREAD"},
             },
@@ -219,18 +222,6 @@ def make_robots(made: Any, entropy: list[int], steps: int, **settings: Any) -> S
     # torch's global generator draws actions
     torch.manual_seed(torch_seed)
     return env
-
-
-def _select_sent(data: TensorDictBase, keys: list[NestedKey]) -> TensorDictBase:
-    """Entries of a batch to send."""
-    return data.select(*keys, strict=False)
-
-
-def _joined(batches: tuple[TensorDictBase, ...]) -> TensorDict:
-    """Concatenate the batches of all actors along the robots."""
-    data = cast("TensorDict", torch.cat(batches, 0))
-    data.names = [None] * (data.ndim - 1) + ["time"]
-    return data
 
 
 def _join_ray(ray: Any, num_collectors: int) -> None:

@@ -30,7 +30,7 @@ from aslip.envs import (
     insert_before,
     randomise_stack,
 )
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.collectors import LocalCollector
@@ -170,7 +170,7 @@ def test_the_state_of_another_environment_is_refused(make: MakeEnv, parts: dict[
     with pytest.raises(ConfigurationError, match=r"another stack.*noise"):
         state.load_state_dict(parts)
     robots = {**parts["robots"], "dynamics": {}, "states": parts["robots"]["states"][:1]}
-    with pytest.raises(ConfigurationError, match=r"shape \(4, 600\), got \(1, 600\)"):
+    with pytest.raises(ShapeError, match=r"shape \(4, 600\), got \(1, 600\)"):
         CollectorState(_collector(make)).load_state_dict({**parts, "robots": robots})
 
 

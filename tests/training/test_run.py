@@ -69,10 +69,10 @@ def test_an_empty_folder_cannot_be_resumed(settings: Settings) -> None:
 def test_a_resumed_run_without_a_checkpoint_starts_from_the_beginning(settings: Settings) -> None:
     run = open_run(settings)
     run.log(10, {"value": 1.0})
-    with quiet() as said:
+    with quiet() as messages:
         again = open_run(settings, resume=True)
         assert again.restore({"net": constant_network(0.0)}) is None
-    assert "starts from the beginning" in said[0]
+    assert "starts from the beginning" in messages[0]
     assert again.history() == {}
     again.log(10, {"value": 2.0})
     assert again.history() == {"step": [10], "value": [2.0]}
@@ -142,11 +142,9 @@ def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> Non
     with pytest.raises(ConfigurationError) as info:
         TrainingRun(settings.out, settings, resume=True, transforms=others)
     message = str(info.value)
-    assert "part 0 was ..." in message
     assert "same 0 here and so on" in message
     assert "same 0 there and so on" in message
     assert "part 4" not in message
-    assert "and 5 more; resume it with its own settings, or start another run" in message
     assert len(message) < 1000
 
 

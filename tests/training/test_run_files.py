@@ -38,15 +38,15 @@ def test_training_continues_on_a_full_disk(
     run = open_run(settings)
     save_steps(run, 10)
     before = checkpoints(settings)[0].read_bytes()
-    with quiet() as said, run.saving({"net": constant_network(5.0)}, 0.0) as keep:
+    with quiet() as messages, run.checkpointing({"net": constant_network(5.0)}, 0.0) as checkpoint:
         with monkeypatch.context() as patch:
             patch.setattr(run_module, "save_checkpoint", fail_on_full_disk)
-            keep(20, {})
+            checkpoint(20, {})
         assert saved_steps(settings) == [10]
         assert checkpoints(settings)[0].read_bytes() == before
-        keep(30, {})
-    assert ["20 policy steps could not be written" in line for line in said] == [True]
-    assert "No space left on device" in said[0]
+        checkpoint(30, {})
+    assert ["20 policy steps could not be written" in line for line in messages] == [True]
+    assert "No space left on device" in messages[0]
     assert saved_steps(settings) == [10, 30]
 
 
@@ -57,10 +57,15 @@ def test_a_last_checkpoint_that_cannot_be_written_is_an_error(
     save_steps(run, 10)
     monkeypatch.setattr(run_module, "save_checkpoint", fail_on_full_disk)
     stopped = pytest.raises(TrainingStoppedError)
-    with quiet(), stopped as info, run.saving({"net": constant_network(5.0)}, 0.0) as keep:
-        keep(20, {})
+    with (
+        quiet(),
+        stopped as info,
+        run.checkpointing({"net": constant_network(5.0)}, 0.0) as checkpoint,
+    ):
+        checkpoint(20, {})
     assert "the checkpoint of 20 policy steps could not be written" in str(info.value)
-    assert "continues from the checkpoint of 10 steps" in str(info.value)
+    assert "saved: " in str(info.value)
+    assert "checkpoint-000000000010.zip" in str(info.value)
 
 
 def test_a_partly_written_checkpoint_is_removed(
@@ -87,13 +92,13 @@ def test_rows_wait_for_space_on_the_disk(
     """No checkpoint is written before the rows up to it."""
     run = open_run(settings)
     run.log(10, {"value": 1.0})
-    with quiet() as said, monkeypatch.context() as patch:
+    with quiet() as messages, monkeypatch.context() as patch:
         patch.setattr(Path, "open", fail_on_full_disk)
         run.log(20, {"value": 2.0})
         run.log(30, {"value": 3.0})
         with pytest.raises(TrainingStoppedError):
             save_steps(run, 30)
-    assert ["could not be written" in line for line in said] == [True, True, True]
+    assert ["could not be written" in line for line in messages] == [True, True, True]
     assert saved_steps(settings) == []
     assert run.history()["step"] == [10]
     save_steps(run, 30)
@@ -109,9 +114,9 @@ def test_a_partly_written_row_is_removed(
     run.log(10, {"value": 1.0})
     before = (settings.out / "progress.csv").read_bytes()
     run.close()  # TensorBoard writes in a thread, to which the limit must not apply
-    with quiet() as said, full_disk(len(before) + 3):
+    with quiet() as messages, full_disk(len(before) + 3):
         run.log(20, {"value": 2.0})
-    assert "could not be written" in said[0]
+    assert "could not be written" in messages[0]
     assert (settings.out / "progress.csv").read_bytes() == before
     run.log(30, {"value": 3.0})
     assert run.history()["step"] == [10, 20, 30]
