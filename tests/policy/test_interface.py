@@ -149,22 +149,23 @@ def test_benchmarks_name_the_difference_to_a_policys_stack(
 ) -> None:
     entries = list(OBSERVATION_TABLE)
     other_key = ActionDelta(("reference", "motor_velocity"))
+    fewer, reverse = entries[:-1], entries[::-1]
     stacks: dict[str, tuple[dict[str, Any], int, str]] = {
         "order": (
-            {"replace": {"observation": AssembleObservation(entries[::-1])}},
+            {"replace": {"observation": AssembleObservation(reverse)}},
             64,
-            "its observation has another order",
+            r"observes \['reference/right_foot_velocity'",
         ),
         "fewer": (
-            {"replace": {"observation": AssembleObservation(entries[:-1])}},
+            {"replace": {"observation": AssembleObservation(fewer)}},
             61,
-            r"its observation lacks \['reference/right_foot_velocity'\]",
+            r"'reference/right_foot_position'\]",
         ),
         "baseline": ({"replace": {"action": other_key}}, 64, "to 'reference/motor_velocity'"),
         "action": (
             {"stack": insert_before(default_stack(library), "action", smooth=Smooth())},
             64,
-            "not only, an `ActionDelta`",
+            "added to None",
         ),
     }
     for name, (settings, size, message) in stacks.items():

@@ -182,8 +182,8 @@ def test_refuses_policy_for_another_observation(
         ({"hidden": [10**9, 10**9]}, "describes a network of 10000000"),
         ({"hidden": [1] * 10**5}, "in 100000 hidden layers, and it has"),
         ({"observation_size": 10**9}, "describes a network of 256000"),
-        ({"hidden": [255, 256]}, r"float32 of shape \(256, 64\) instead of .*\(255, 64\)"),
-        ({"hidden": [256]}, "'module.0.module.1.4.bias' is unexpected"),
+        ({"hidden": [255, 256]}, r"size mismatch for .*\[256, 64\].*\[255, 64\]"),
+        ({"hidden": [256]}, "Unexpected key.*4.weight"),
     ],
 )
 def test_refuses_oversized_network_before_allocation(file: Path, shape: dict, message: str) -> None:
@@ -221,15 +221,10 @@ def _other_activation() -> nn.Module:
     ("make_one", "shape", "message"),
     [
         (lambda: make_recurrent_actor(RunningNormalizer(64)), PolicyShape(), "network="),
-        (lambda: nn.Linear(64, 10), PolicyShape(), "'bias' is unexpected"),
-        (
-            lambda: make_actor(RunningNormalizer(64)),
-            PolicyShape(hidden=(256, 128)),
-            r"of shape \(256, 256\) instead of float32 of shape \(128, 256\)",
-        ),
-        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256,)), "is unexp"),
-        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "is unexp"),
-        (lambda: make_actor(RunningNormalizer(64)).double(), PolicyShape(), "is float64"),
+        (lambda: nn.Linear(64, 10), PolicyShape(), "Missing key"),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256, 128)), "128, 256"),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "Missing key"),
+        (lambda: make_actor(RunningNormalizer(64)).double(), PolicyShape(), "Double"),
         (_other_activation, PolicyShape(), "actions differ"),
     ],
 )
@@ -324,7 +319,7 @@ def test_custom_network_loads_with_given_function(tmp_path: Path) -> None:
         aslip.load_policy(path)
     loaded = aslip.load_policy(path, make_tanh_actor)
     assert torch.equal(loaded(_input())["action"], actor(_input())["action"])
-    with pytest.raises(FileDamagedError, match="is missing"):
+    with pytest.raises(FileDamagedError, match="Missing key"):
         aslip.load_policy(path, make_actor)
 
 
