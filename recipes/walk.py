@@ -109,7 +109,7 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import contextlib
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -271,8 +271,8 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     """Numbers of a policy step."""
     after = cast("TensorDictBase", td["next"])
     forward, sideways, _ = after["true_odometry", "pelvis_velocity"][0].tolist()
-    orientations = [t["truth", "pelvis_orientation"][0].double().numpy() for t in (td, after)]
-    turn = np.diff(yaw(np.stack(orientations)))[0]
+    orientations: list[Any] = [t["truth", "pelvis_orientation"][0] for t in (td, after)]
+    turn = np.diff(yaw(np.stack([orientation.double() for orientation in orientations])))[0]
     return {
         "time": walker.time,
         "speed": forward,

@@ -51,7 +51,7 @@ def command_line(
     with extras():
         import tyro
 
-    given = {} if default is None else {"default": default}
+    given: dict[str, Any] = {} if default is None else {"default": default}
     return tyro.cli(kind, args=arguments, prog=program(), **given)
 
 

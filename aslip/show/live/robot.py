@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -140,7 +141,7 @@ def body_meshes(model: mujoco.MjModel, body: int) -> Iterator[tuple[Color, trime
             color = to_color(geom_color(model, geom))
             shapes.setdefault(color, []).append(geom_mesh(model, geom))
     for color, meshes in shapes.items():
-        yield color, trimesh.util.concatenate(meshes)
+        yield color, cast("trimesh.Trimesh", trimesh.util.concatenate(meshes))
 
 
 def to_color(rgba: Sequence[float] | np.ndarray) -> Color:
