@@ -2,7 +2,7 @@ r"""Build a library of gaits in all directions from an empty folder, or go on wi
 
 python recipes/direction_library.py                        # 2581 gaits, in runs/directions
 python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
-    --yaw-rates 0 0.5 --limits --checks 0
+    --yaw-rates 0 0.5 --limits
 
 The gaits to the left are solved on all cores, each from a neighbour, and those to the right are
 their mirror images. Every solved gait is stored at once, so that the same command goes on after an
@@ -63,21 +63,16 @@ class Config(UserPaths):
     """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
     workers: int | None = None
     """Number of processes, all cores by default."""
-    checks: int = 50
-    """Gaits solved at random commands and compared with look-ups."""
 
     def __post_init__(self) -> None:
-        """Check the numbers that would otherwise fail only after the solves.
+        """Check the number that would otherwise fail only after the solves.
 
         Raises:
-            ConfigurationError: one of them is invalid.
+            ConfigurationError: it is invalid.
         """
         super().__post_init__()
-        if self.checks < 0 or (self.workers is not None and self.workers < 1):
-            raise ConfigurationError(
-                "checks must be 0 or more and workers 1 or more, got"
-                f" {self.checks} and {self.workers}"
-            )
+        if self.workers is not None and self.workers < 1:
+            raise ConfigurationError(f"workers must be 1 or more, got {self.workers}")
 
 
 if __name__ == "__main__":
@@ -141,8 +136,6 @@ def _build(config: Config) -> GaitLibrary:
     library = _tabulate(config, gaits)
     library.save(config.out / "gaits.npz")
     print(_summary(gaits, missing, library), _standing(library), sep="\n")
-    if config.checks:
-        print(_accuracy(config, library, gaits, store))
     print(f"\n{time.perf_counter() - start:.0f} s -> {config.out / 'gaits.npz'}, region.png")
     return library
 
@@ -252,21 +245,6 @@ def _summary(gaits: Sequence[Gait], missing: Missing, library: GaitLibrary) -> s
             f" tables of {memory / 1e6:.1f} MB",
         ]
     )
-
-
-def _accuracy(
-    config: Config, library: GaitLibrary, gaits: Sequence[Gait], store: GaitFolder
-) -> str:
-    """Differences between look-ups and gaits solved at random commands, see `accuracy_table`."""
-    rows, unsolved = [], []
-    for command in tqdm(random_commands(library, config.checks), desc="checks", unit="gait"):
-        nearest = min(gaits, key=lambda gait: np.linalg.norm(gait.command - command))
-        gait = store.read(command, nearest) or store.solve(command, nearest)
-        if isinstance(gait, Gait):
-            rows.append([*command, *differences(library, gait, config.samples)])
-        else:
-            unsolved.append(f"not compared {tuple(command.tolist())}: {gait}")
-    return "\n".join([*unsolved, accuracy_table(rows)])
 
 
 def accuracy_table(rows: ArrayLike) -> str:

@@ -6,10 +6,12 @@ The module does not import PyTorch, so that command lines are parsed at once.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from aslip.base.checks import check_count
 from aslip.errors import ConfigurationError, FileDamagedError
 
 SETTINGS_FILE = "config.json"
@@ -103,14 +105,25 @@ def check_positive(config: Any, *names: str) -> None:
             raise ConfigurationError(f"{name} must be positive, got {getattr(config, name)}")
 
 
+def check_range(config: Any, low: float, high: float, *names: str) -> None:
+    """Check that settings are within a range, ends included.
+
+    Raises:
+        ConfigurationError: a setting is not.
+    """
+    for name in names:
+        if not low <= getattr(config, name) <= high:
+            allowed = f"{low} or more" if high == math.inf else f"from {low} to {high}"
+            raise ConfigurationError(f"{name} must be {allowed}, got {getattr(config, name)}")
+
+
 def check_shares(num_envs: int, samples: int, num_collectors: int = 1) -> None:
     """Check that robots divide equally among collectors, and samples among robots.
 
     Raises:
         ConfigurationError: a division has a remainder, or there is no collector.
     """
-    if num_collectors < 1:
-        raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")
+    check_count("num_collectors", num_collectors)
     if num_envs % num_collectors:
         raise ConfigurationError(
             f"num_envs must be a multiple of num_collectors = {num_collectors}, got {num_envs}"

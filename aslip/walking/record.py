@@ -82,8 +82,8 @@ class Walks:
     body_to_foot: np.ndarray
     """(m, n, 2, 3) feet of the reduced-order model, from its body [m]."""
     frame: np.ndarray
-    """(m, n, 3) pose of the heading frame in that after the first step: x, y [m] and yaw [rad]; zero
-    for frames at rest."""
+    """(m, n, 3) pose of the heading frame in that after the first step: x, y [m] and yaw [rad].
+    Zero for frames at rest."""
 
     def __post_init__(self) -> None:
         """Check that all arrays have m steps and n walks.

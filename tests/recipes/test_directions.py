@@ -20,6 +20,7 @@ from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES, Diffic
 from aslip.walking import WalkResult
 from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
+from recipes.ppo_settings import training_settings
 from tests.helpers import TINY
 from tests.library.bent import symmetric_library
 from tests.library.standing import slower_library, standing_library
@@ -95,7 +96,7 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     assert env.base_env.model.opt.timestep == 1e-3
     whole = ppo_directions.training_stack(replace(config, ramp=0.0), stack)
     assert "difficulty" not in whole
-    nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
+    nominal = replace(config, ramp=0.0, randomise=False, push_impulse=0.0, privileged=False)
     same = ppo_directions.training_stack(nominal, stack)
     assert [*same] == [*stack]
     assert {name for name in stack if same[name] != stack[name]} == {"command_filter"}
@@ -135,7 +136,7 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
     config: DirectionConfig, results: list[WalkResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["--resume", "--out", str(config.out)]
-    kept = ppo_directions.settings(words)
+    kept = training_settings({"default": DirectionConfig()}, words)
     assert kept.library == config.library
     assert kept.push_interval == 0.03
     with pytest.raises(ConfigurationError, match="push_impulse must be 0 or more"):

@@ -75,10 +75,7 @@ def test_progress_has_one_row_per_update(run: Run) -> None:
 def test_messages_name_folder_length_and_how_to_resume(run: Run) -> None:
     folder, _, out = run
     first, second, *_ = out.splitlines()
-    assert first == (
-        f"{folder}: training for 128 policy steps (70, rounded up to updates of 64);"
-        " preset default, seed 0, 8 robots"
-    )
+    assert first == (f"{folder}: training for 128 policy steps; preset default, seed 0, 8 robots")
     assert second == "Ctrl-C saves and stops; to continue: resume=True"
     lines = (folder / "summary.md").read_text().splitlines()
     assert sum(line.startswith("| ") for line in lines) == 23
@@ -182,7 +179,7 @@ def test_the_bar_moves_at_each_policy_step_without_changing_actions() -> None:
         ({"samples": 100}, "samples must be a multiple of num_envs = 8, got 100"),
         ({"gamma": 1.5}, "gamma"),
         ({"checkpoint_minutes": -1.0}, "checkpoint_minutes must be 0 or more"),
-        ({"seed": -1}, r"seed must be from 0 to 2\*\*63 - 1, got -1"),
+        ({"seed": -1}, "seed must be from 0 to .*, got -1"),
         ({"num_envs": 8.0}, r"num_envs must be an integer, got 8\.0"),
         ({"learning_rate": float("nan")}, "learning_rate must be a finite number, got nan"),
         ({"symmetric": 1}, "symmetric must be True or False, got 1"),

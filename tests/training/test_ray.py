@@ -308,7 +308,7 @@ def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> No
     ("change", "message"),
     [
         ({"num_collectors": 3}, "num_envs must be a multiple of num_collectors = 3, got 4"),
-        ({"num_collectors": 0}, "num_collectors must be 1 or more, got 0"),
+        ({"num_collectors": 0}, "num_collectors must be a whole number of 1 or more, got 0"),
         ({"samples": 30}, "samples must be a multiple of num_envs = 4, got 30"),
         ({"device": "cuda"}, "need device='cpu', got cuda"),
     ],
