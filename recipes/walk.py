@@ -220,18 +220,15 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
     Raises:
         ConfigurationError: a push is outside the walk, or begins during another.
     """
-    free = 0
+    end = 0
     for push in sorted(pushes, key=lambda push: push.time):
-        if not 0 <= push.time < duration:
+        first = policy_steps(push.time)
+        if not 0 <= push.time < duration or first < end:
             raise ConfigurationError(
-                f"a push at {push.time:g} s is outside the walk, from 0 to {duration:g} s"
+                f"a push at {push.time:g} s is outside the walk, from 0 to {duration:g} s, or"
+                " begins before the previous one ends"
             )
-        if policy_steps(push.time) < free:
-            raise ConfigurationError(
-                f"the push at {push.time:g} s begins before the previous one ends, at"
-                f" {free * CASSIE.policy_period:g} s"
-            )
-        free = policy_steps(push.time) + policy_steps(push.duration)
+        end = first + policy_steps(push.duration)
 
 
 def walk(

@@ -96,17 +96,6 @@ def _frames(
             yield _shrink(renderer.render(), supersampling)
 
 
-def strip(frames: np.ndarray) -> np.ndarray:
-    """Join (n, h, w, 3) frames side by side, the first on the left: (h, n * w, 3).
-
-    Raises:
-        ShapeError: the frames have another number of axes.
-    """
-    if np.ndim(frames) != 4:
-        raise ShapeError(f"frames must be (n, h, w, 3), got {np.shape(frames)}")
-    return np.concatenate(list(frames), axis=1)
-
-
 def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
     """Add a reduced-order model to a scene: a sphere and two coil springs with round feet.
 

@@ -20,7 +20,6 @@ from aslip.envs import (
     describe_transforms,
     insert_before,
     library_of,
-    standing_stack,
 )
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
@@ -94,19 +93,13 @@ def _saved(path: Path, env: StackEnv, size: int = 64) -> Path:
     return path
 
 
-HARMLESS = {
-    "InitTracker": (InitTracker(),),
-    "RewardScaling": (RewardScaling(loc=0.0, scale=0.1),),
-    "an own reward with memory": (AirTime(),),
-    "all": (InitTracker(), AirTime(), RewardScaling(loc=0.0, scale=0.1)),
-}
+HARMLESS = (InitTracker(), AirTime(), RewardScaling(loc=0.0, scale=0.1))
 
 
-@pytest.mark.parametrize("more", HARMLESS.values(), ids=HARMLESS)
 def test_other_transforms_keep_the_interface_to_policies(
-    make: MakeEnv, library: GaitLibrary, tmp_path: Path, more: tuple
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path
 ) -> None:
-    env = _with(library, make, *more)
+    env = _with(library, make, *HARMLESS)
     env.rollout(2)
     assert stack_name(env) == "default"
     path = _saved(tmp_path / "policy.zip", env)
@@ -120,7 +113,7 @@ def test_other_transforms_keep_the_interface_to_policies(
 def test_benchmarks_take_policies_trained_with_more_transforms(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = _saved(tmp_path / "policy.zip", _with(library, make, *HARMLESS["all"]))
+    path = _saved(tmp_path / "policy.zip", _with(library, make, *HARMLESS))
     config = velocity_tracking.Config(policy=(str(path),), out=tmp_path / "out")
     env = Subject.load(path).walking_env(config, 2)
     assert env.num_envs == 2
@@ -184,15 +177,6 @@ def test_baselines_of_the_action_must_be_equal(make: MakeEnv) -> None:
         Walker("straight", make(stack="paper"))
 
 
-def test_benchmarks_refuse_policies_whose_stack_has_changed(make: MakeEnv, tmp_path: Path) -> None:
-    """The stack of that name differs from the one of the training."""
-    path = tmp_path / "policy.zip"
-    interface = {**policy_interface(make()), "stack": "paper"}
-    save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)
-    with pytest.raises(ConfigurationError, match="does not fit the environment: its action"):
-        Subject.load(path).walking_env(Common(), 1)
-
-
 def test_description_of_an_environment_tells_reward_functions_apart(make: MakeEnv) -> None:
     def text(function: Callable[..., Any]) -> str:
         term = RewardTerm("foot_orient", function, [("truth", "pelvis_orientation")])
@@ -211,11 +195,6 @@ def test_description_of_an_environment_tells_reward_functions_apart(make: MakeEn
 
 
 def test_gaits_are_those_of_the_clock(library: GaitLibrary) -> None:
-    directions = GaitLibrary.load("directions")
-    for stack, gaits in (
-        (default_stack(library), library),
-        (standing_stack(directions), directions),
-    ):
-        assert library_of(aslip.make_env(stack=stack, seed=0)) is gaits
+    assert library_of(aslip.make_env(stack=default_stack(library), seed=0)) is library
     with pytest.raises(ConfigurationError, match="the stack lacks a PhaseClock or StandClock"):
         library_of(aslip.make_env(stack={}))

@@ -91,7 +91,7 @@ def test_fall_ends_the_walk_with_a_complete_log(
         (
             {"push": ("1.05:0,5,0", "1:5,0,0")},
             ConfigurationError,
-            "1.05 s begins before.*1.14 s",
+            "1.05 s .*begins before",
         ),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"live": True, "command": "0:0.5,4:stand"}, ConfigurationError, "got the schedule"),

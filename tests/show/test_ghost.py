@@ -15,7 +15,6 @@ from aslip.library.footholds import Footholds, touchdown_phases, yaw_rotation
 from aslip.robot import SIDES
 from aslip.rom import PendulumWalk, SampledMotion, Track
 from aslip.show.ghost import Ghost
-from tests.helpers import MakeEnv
 from tests.library.bent import symmetric_library
 
 
@@ -53,35 +52,6 @@ def test_stance_follows_from_the_foot_velocity(
     """Modes of a stride: right, double, left, double."""
     ghost = Ghost.of(_instant(library, phase, 1.0, 0.0))
     assert (ghost.left_stance, ghost.right_stance) == stance
-
-
-def test_ghost_is_of_the_chosen_robot(make: MakeEnv) -> None:
-    td = make(num_envs=3).reset()
-    ghost = Ghost.of(td, 2)
-    np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
-
-
-def test_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
-    """Also rows of double precision, as in logs."""
-    groups = _instant(library, 0.2, 1.0, 0.5)
-    rows = [
-        {k: v[0].double().numpy() for k, v in groups[g].items()} for g in ("reference", "truth")
-    ]
-    before = [{name: value.copy() for name, value in group.items()} for group in rows]
-    Ghost.of_rows(*rows)
-    for group, kept in zip(rows, before, strict=True):
-        for name, value in kept.items():
-            np.testing.assert_array_equal(group[name], value, err_msg=name)
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.65, 1.0, 2.0])
-def test_planned_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
-    """Two steps are a stride; sideways they cancel."""
-    footholds = Footholds(library)
-    left, right = (footholds.step(side, speed) for side in SIDES)
-    stride = float(library.stride(torch.tensor([[speed]], dtype=torch.float64))) * speed
-    np.testing.assert_allclose(left + right, [stride, 0.0], atol=2e-3)
-    np.testing.assert_allclose(left[1], 0.2, atol=1e-3)
 
 
 def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:

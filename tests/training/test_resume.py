@@ -54,7 +54,6 @@ def _harder(stack: Stack) -> Stack:
 
 
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {
-    "aslip": dict,
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
     "compose": lambda: {"replace": {"noise": Compose(ObservationNoise())}},  # pyright: ignore[reportArgumentType]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 import zipfile
@@ -15,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from aslip.base.provenance import peak_memory
 from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
-from aslip.training.run import TrainingStoppedError, write_text
+from aslip.training.run import TrainingStoppedError
 from benchmarks.common import quiet
 from tests.helpers import full_disk
 from tests.training.run_folder import (
@@ -125,18 +124,6 @@ def test_a_partly_written_row_is_removed(
 # ---------------------------------------------------------------------- csv
 
 
-def test_the_history_equals_the_logged_rows(settings: Settings) -> None:
-    run = open_run(settings)
-    assert run.history() == {}
-    run.log(10, {"value": 1.25, "other": float("nan")})
-    run.log(20, {"value": 1e-9, "other": 3.0})
-    history = run.history()
-    assert history["step"] == [10, 20]
-    assert history["value"] == [1.25, 1e-9]
-    assert math.isnan(history["other"][0])
-    assert history["other"][1] == 3.0
-
-
 def test_a_half_written_row_is_ignored(settings: Settings) -> None:
     run = open_run(settings)
     run.log(10, {"value": 1.0, "other": 2.0})
@@ -225,16 +212,3 @@ def test_peak_memory_is_that_of_this_process_alone() -> None:
     shown = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     assert peak_memory() > len(burden) / 2**30
     assert 0.125 < float(shown) < 1.0
-
-
-def test_a_failed_write_keeps_the_old_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "text"
-    write_text(path, "old")
-
-    def fail(*args: object, **kwargs: object) -> None:
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr("os.fsync", fail)
-    with pytest.raises(OSError, match="no space"):
-        write_text(path, "new")
-    assert path.read_text() == "old"

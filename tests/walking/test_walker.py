@@ -90,11 +90,6 @@ def test_policy_can_change_during_walk(walker: Walker) -> None:
     assert actions[2] > 0
 
 
-def test_refuses_several_robots(library: GaitLibrary) -> None:
-    with pytest.raises(ConfigurationError, match="one robot"):
-        Walker("straight", env=aslip.make_env(num_envs=2, library=library))
-
-
 @pytest.mark.parametrize("speed", [-0.1, 2.5, float("nan")])
 def test_refuses_speed_outside_library(walker: Walker, speed: float) -> None:
     with pytest.raises(SpeedOutOfRangeError):
