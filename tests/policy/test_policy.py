@@ -131,15 +131,6 @@ def test_a_loaded_policy_gives_the_same_actions_bit_for_bit(
         assert torch.allclose(loaded(_input())["scale"], torch.tensor(math.exp(-2)))
 
 
-def test_file_restores_shape(tmp_path: Path) -> None:
-    shape = PolicyShape(hidden=(32, 16), std=0.5)
-    actor = make_actor(RunningNormalizer(64), shape)
-    save_policy(tmp_path / "policy.zip", actor, shape)
-    loaded = aslip.load_policy(tmp_path)
-    torch.testing.assert_close(loaded(_input())["loc"], actor(_input())["loc"], rtol=0, atol=0)
-    torch.testing.assert_close(loaded(_input())["scale"], torch.full((20, 10), 0.5))
-
-
 def test_refuses_unknown_policy_name(tmp_path: Path) -> None:
     for name in ("no_such_policy", tmp_path, str(tmp_path / "gone.zip")):
         with pytest.raises(AssetError, match="neither a file, nor the folder of a run"):

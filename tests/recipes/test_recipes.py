@@ -6,22 +6,19 @@ import contextlib
 import csv
 import io
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 from torchrl.record.loggers import CSVLogger
 
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.policy import make_recurrent_actor, policy_stack, read_card
-from aslip.training.progress import Progress
 from aslip.walking import Walker, WalkResult
 from recipes import ppo_aslip
 from recipes.ppo_settings import scheduled, with_schedule
@@ -124,30 +121,6 @@ def test_schedules_decay_exponentially_at_the_end() -> None:
     assert values == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
     kept = {"total_steps": 1000, "schedule_steps": 2000}
     assert with_schedule(replace(TINY, total_steps=3000), kept).schedule_steps == 2000
-
-
-def test_the_bar_moves_at_each_policy_step_without_changing_actions() -> None:
-    actor, progress = torch.nn.Linear(2, 2), Progress(64, 24)
-    plain = [actor(torch.ones(2)) for _ in range(6)]
-    data = TensorDict(next=TensorDict(truth=TensorDict(diverged=torch.tensor([[True], [False]]))))
-    outputs: list[torch.Tensor] = []
-
-    def batches() -> Iterator[Any]:
-        for _ in range(2):
-            outputs.extend(actor(torch.ones(2)) for _ in range(3))
-            yield data
-
-    shown = []
-    with progress:
-        for _ in progress.watch(batches(), cast("Any", actor), robots=8):
-            assert progress._bar is not None
-            shown.append(progress._bar.n)
-            actor(torch.ones(2))  # evaluations do not move the bar
-            progress.step += 24
-    assert shown == [24, 48]
-    assert progress.total == 72
-    assert progress.state()["divergences"] == 2
-    torch.testing.assert_close(torch.stack(outputs), torch.stack(plain), rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(

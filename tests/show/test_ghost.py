@@ -54,21 +54,6 @@ def test_stance_follows_from_the_foot_velocity(
     assert (ghost.left_stance, ghost.right_stance) == stance
 
 
-def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:
-    """A step is from the stance foot to the landing foot at touchdown."""
-    footholds, gait = Footholds(library), library.gaits[12]
-    for i, side in enumerate(SIDES):
-        phase = footholds.touchdown_phase(side, gait.speed)
-        k = int(np.searchsorted(gait.time, phase * gait.stride + 1e-9))
-        feet = gait.feet.position[k]
-        np.testing.assert_allclose(
-            footholds.step(side, gait.speed), (feet[i] - feet[1 - i])[:2], atol=1e-3
-        )
-    first, second = (footholds.touchdown_phase(side, 1.2) for side in SIDES)
-    assert second - first == pytest.approx(0.5)
-    assert 0.3 < first < 0.5
-
-
 def test_touchdowns_of_a_pendulum_precede_its_change_of_stance() -> None:
     """Feet swing for 80 % of a step, 0.4 strides, and touch down before the stance changes."""
     for walk in (PendulumWalk(speed=0.0), PendulumWalk(speed=1.0)):
@@ -91,15 +76,6 @@ def test_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
     turned = footholds.planned("left", 0.8, foot, about) - foot[:2]
     cosine, sine = np.cos(1.0), np.sin(1.0)
     np.testing.assert_allclose(turned, np.array([[cosine, -sine], [sine, cosine]]) @ step)
-
-
-def test_yaw_rotation_ignores_pitch() -> None:
-    yaw, pitch = 0.7, 0.4
-    half = np.array([yaw, pitch]) / 2
-    (cy, cp), (sy, sp) = np.cos(half), np.sin(half)
-    # pitch first, then yaw
-    quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
-    np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
 
 
 def _turning(phase: float, command: tuple[float, ...], yaw: float) -> TensorDict:

@@ -91,21 +91,6 @@ def test_an_interrupted_training_names_its_checkpoint_and_how_to_resume(
     assert saved_steps(settings) == [10, 20]
 
 
-def test_an_interrupted_training_says_what_could_not_be_saved(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = open_run(settings)
-    save_steps(run, 10)
-    monkeypatch.setattr(run_module, "save_checkpoint", fail_on_full_disk)
-    net = {"net": constant_network(5.0)}
-    with pytest.raises(KeyboardInterrupt), run.checkpointing(net, 1e9) as checkpoint:
-        checkpoint(20, {})
-        raise KeyboardInterrupt
-    message = capsys.readouterr().err
-    assert "the checkpoint of 20 policy steps could not be written" in message
-    assert "checkpoint-000000000010.zip" in message
-
-
 @pytest.mark.parametrize(
     ("steps", "saved"), [((10,), "checkpoint-000000000010.zip"), ((), "nothing")]
 )
@@ -254,17 +239,6 @@ def test_a_checkpoint_with_other_components_is_refused(settings: Settings) -> No
     for components, word in zip(others, ("size mismatch", "lacks.*other"), strict=True):
         with quiet(), pytest.raises(FileDamagedError, match=word):
             open_run(settings, resume=True).restore(components)
-
-
-def test_the_same_checkpoint_is_written_only_once(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written, save = [], run_module.save_checkpoint
-    monkeypatch.setattr(
-        run_module, "save_checkpoint", lambda path, *a: (written.append(path), save(path, *a))
-    )
-    save_steps(open_run(settings), 10, 20)
-    assert written == checkpoints(settings)
 
 
 def test_temporary_files_of_a_killed_process_are_removed(settings: Settings) -> None:

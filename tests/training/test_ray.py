@@ -280,7 +280,6 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
     ("change", "message"),
     [
         ({"num_collectors": 3}, "num_envs must be a multiple of num_collectors = 3, got 4"),
-        ({"num_collectors": 0}, "num_collectors must be a whole number of 1 or more, got 0"),
         ({"samples": 30}, "samples must be a multiple of num_envs = 4, got 30"),
         ({"device": "cuda"}, "need device='cpu', got cuda"),
     ],

@@ -192,15 +192,6 @@ def test_tensorboard_points_after_the_checkpoint_are_dropped_on_resume(settings:
     assert [(e.step, e.value) for e in events] == [(10, 10), (20, 20), (30, 30.5), (40, 40.5)]
 
 
-def test_large_step_counts_survive_a_resume(settings: Settings) -> None:
-    run = open_run(settings)
-    run.log(174_999_040, {"value": 1.0})
-    save_steps(run, 174_999_040)
-    again = open_run(settings, resume=True)
-    again.restore({"net": constant_network(0.0)})
-    assert again.history()["step"] == [174_999_040]
-
-
 def test_peak_memory_is_that_of_this_process_alone() -> None:
     """On Linux, getrusage includes the peak of the parent process."""
     burden = bytearray(2**30)

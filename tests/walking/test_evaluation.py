@@ -62,15 +62,6 @@ def test_refuses_environment_that_hides_the_truth(make: MakeEnv) -> None:
         evaluate(limp(), make(num_envs=len(SPEEDS), keep=["observation"]), SPEEDS)
 
 
-def test_evaluates_stack_without_reward_terms(make: MakeEnv) -> None:
-    """An experiment may have its own rewards."""
-    terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
-    env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
-    results = evaluate(limp(), env, SPEEDS, num_steps=3)
-    assert [result.terms for result in results] == [{}, {}, {}]
-    assert "of 3 speeds 3 survived" in walk_table(results)
-
-
 def test_evaluation_suspends_command_changes(make: MakeEnv, library: GaitLibrary) -> None:
     policy, speeds = aslip.load_policy("straight"), [0.0, 1.0, 2.0]
     restless = SpeedCommand(library, interval=0.06)

@@ -70,16 +70,6 @@ def test_walker_stands_on_a_wish(library: GaitLibrary) -> None:
     assert not walker.stand
 
 
-def test_robots_of_other_stacks_cannot_stand() -> None:
-    walker = Walker("straight", seed=0)
-    walker.stand = False
-    assert not walker.can_stand
-    with pytest.raises(ConfigurationError, match="policy of the stack 'standing'"):
-        walker.stand = True
-    with pytest.raises(ConfigurationError, match="standing_stack"):
-        walker.reset(stand=True)
-
-
 def test_evaluations_and_substeps_take_wishes(library: GaitLibrary) -> None:
     env = make(library, 2)
     results = evaluate(limp(), env, [[0.3, 0.0, 0.4]] * 2, 3, stand=[True, False])

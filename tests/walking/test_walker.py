@@ -78,18 +78,6 @@ def test_fallen_walker_needs_reset(walker: Walker) -> None:
     assert not walker.fallen
 
 
-def test_policy_can_change_during_walk(walker: Walker) -> None:
-    shipped = walker.policy
-    actions = []
-    for policy in (shipped, lambda td: td.set("action", torch.zeros(1, 10)), "straight"):
-        walker.policy = policy  # pyright: ignore[reportAttributeAccessIssue]
-        actions.append(walker.step()["action"].abs().sum())  # pyright: ignore
-    walker.policy = shipped
-    assert actions[0] > 0
-    assert actions[1] == 0
-    assert actions[2] > 0
-
-
 @pytest.mark.parametrize("speed", [-0.1, 2.5, float("nan")])
 def test_refuses_speed_outside_library(walker: Walker, speed: float) -> None:
     with pytest.raises(SpeedOutOfRangeError):

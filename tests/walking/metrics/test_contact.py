@@ -117,15 +117,6 @@ def test_airborne_while_neither_foot_has_force() -> None:
     assert longest_airborne(force[1600:1800], PERIOD) == pytest.approx(0.1)
 
 
-def test_airborne_threshold_counts_light_contacts() -> None:
-    force = feet((0, 0, 1500))
-    force[500:700, 0] = 15.0
-    force[1500:, 1] = 0.01
-    assert airborne_share(force) == 0.0
-    assert airborne_share(force, threshold=20.0) == pytest.approx(700 / 2000)
-    assert longest_airborne(force, PERIOD, threshold=20.0) == pytest.approx(0.25)
-
-
 def sliding(force: np.ndarray, speed: float) -> np.ndarray:
     """Sole that moves at a constant speed at all times, on a line 3 to 4 [m]."""
     way = speed * PERIOD * np.arange(len(force))

@@ -40,13 +40,6 @@ def test_footsteps_in_order_of_touchdown() -> None:
     np.testing.assert_allclose(np.diff(steps.time), STRIDE / 2, atol=PERIOD)
 
 
-def test_sliding_foot_is_located_at_mid_stance() -> None:
-    steps = footsteps(*walk(0.4, 0.2, slip=0.2), PERIOD)
-    np.testing.assert_allclose(np.diff(steps.position[:, 0]), 0.4, atol=0.2 * PERIOD)
-    still = footsteps(*walk(0.4, 0.2), PERIOD)
-    np.testing.assert_allclose(steps.position, still.position, atol=0.2 * PERIOD)
-
-
 def test_placement_in_a_turn_compares_steps_in_the_heading() -> None:
     """A walk at 0.2 rad/s, whose world is turned by 1 rad, has the errors of the straight walk."""
     force, foot = walk(0.35, 0.23)
