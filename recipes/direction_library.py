@@ -23,7 +23,7 @@ from pathlib import Path
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 
 LIMITS = (
@@ -64,16 +64,6 @@ class Config(UserPaths):
     workers: int | None = None
     """Number of processes, all cores by default."""
 
-    def __post_init__(self) -> None:
-        """Check the number that would otherwise fail only after the solves.
-
-        Raises:
-            ConfigurationError: it is invalid.
-        """
-        super().__post_init__()
-        if self.workers is not None and self.workers < 1:
-            raise ConfigurationError(f"workers must be 1 or more, got {self.workers}")
-
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
@@ -89,7 +79,7 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from aslip.base.provenance import provenance, versions
+from aslip.base.provenance import made_by
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed, replacing
 from aslip.errors import SpeedOutOfRangeError
@@ -179,7 +169,7 @@ def _tabulate(config: Config, gaits: Sequence[Gait]) -> GaitLibrary:
             workers=config.workers,
             folder=config.out / "rows",
             progress=progress,
-            made_by=_made_by(),
+            made_by=made_by(("aslip", "casadi", "pin", "numpy", "scipy")),
             transitions=_transitions(config, gaits),
         )
 
@@ -205,14 +195,6 @@ def _standing(library: GaitLibrary) -> str:
         f"stop {stop:.3f} s after a touchdown, start {start:.3f} s before a lift-off, standing at"
         f" {table.body_position[0, 0, -1, 2]:.3f} m"
     )
-
-
-def _made_by() -> dict[str, str]:
-    """Command, commit and versions, which are saved in the file."""
-    origin = provenance()
-    named = {"command": origin["command"], "commit": origin["commit"]}
-    packages = versions(("aslip", "casadi", "pin", "numpy", "scipy"))
-    return {name: str(value or "") for name, value in {**named, **packages}.items()}
 
 
 def _write_certificates(path: Path, gaits: Sequence[Gait], missing: Missing) -> None:

@@ -98,10 +98,6 @@ class Config(UserPaths):
                 "--live begins with one command, which the page changes, got the schedule"
                 f" {self.command!r}"
             )
-        for name in ("log", "video"):
-            path = getattr(self, name)
-            if path is not None and path.is_dir():
-                raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
 
 
 if __name__ == "__main__":

@@ -67,13 +67,15 @@ def check_look(look: Look) -> None:
 
     Raises:
         RenderingError: OpenGL does not work.
-        UnknownNameError: there is no such camera.
-        ConfigurationError: the size is out of range.
+        ConfigurationError: there is no such camera, or the size is out of range.
     """
     from aslip.show.render import render_frames
 
     qpos = load_model().key("standing").qpos
-    next(render_frames(qpos, camera=look.camera, width=look.width, height=look.height))
+    try:
+        next(render_frames(qpos, camera=look.camera, width=look.width, height=look.height))
+    except ValueError as error:  # MuJoCo's
+        raise ConfigurationError(f"the film cannot be drawn: {error}") from error
 
 
 def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> None:

@@ -32,10 +32,10 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from operator import methodcaller
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
@@ -76,7 +76,7 @@ _STORE = 2**29
 _ENDLESS = 2**62
 
 
-class RayCollectors:
+class RayCollectors(AbstractContextManager[Any]):
     """Robots in Ray actors, by TorchRL's `RayCollector`; they start at the first batch.
 
     Args:
@@ -160,9 +160,6 @@ class RayCollectors:
         if self._ours:
             importlib.import_module("ray").shutdown()
             self._ours = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.shutdown()

@@ -19,7 +19,6 @@ from aslip.errors import (
     ConfigurationError,
     RenderingError,
     SpeedOutOfRangeError,
-    UnknownNameError,
     one_line_errors,
 )
 from aslip.log import read, replay
@@ -95,9 +94,8 @@ def test_fall_ends_the_walk_with_a_complete_log(
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"live": True, "command": "0:0.5,4:stand"}, ConfigurationError, "got the schedule"),
         ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),
-        ({"log": Path(".")}, ConfigurationError, "--log"),
-        # reported with or without OpenGL
-        ({"video": Path("walk.mp4"), "camera": "nose"}, UnknownNameError, "nose.*side"),
+        ({"log": Path(".")}, ConfigurationError, "exists"),
+        ({"video": Path("walk.mp4"), "camera": "nose"}, ConfigurationError, "nose"),
         ({"video": Path("walk.mp4"), "width": 10**5}, ConfigurationError, "100000"),
     ],
 )

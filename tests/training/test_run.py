@@ -134,7 +134,7 @@ def test_pytorch_has_no_more_threads_than_a_container_has_processors(
     settings = SimpleNamespace(resume=True)
     with (
         pytest.raises(ZeroDivisionError),
-        training_loop(run, {"collector": None, "actor": None}, settings),
+        training_loop(run, {"collector": None}, settings),
     ):
         pass
     assert threads == [2]

@@ -11,7 +11,6 @@ of controls.
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import logging
 import math
@@ -28,8 +27,6 @@ from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
 from aslip.errors import ConfigurationError
-
-_PORTS = 65536
 
 
 def start_server(host: str, port: int) -> viser.ViserServer:
@@ -124,26 +121,12 @@ def _without_tracebacks(record: logging.LogRecord) -> bool:
 
 
 def _check_free(host: str, port: int) -> None:
-    if not 0 <= port < _PORTS:
-        raise ConfigurationError(f"port must be a number from 0 to {_PORTS - 1}, got {port!r}")
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    except (OSError, UnicodeError) as error:
-        raise ConfigurationError(f"there is no host {host!r}: {error}") from error
-    for family, kind, protocol, _, address in found:
-        with socket.socket(family, kind, protocol) as probe:
-            # as the server does: a port that was just closed counts as free
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(address)
-            except OSError as error:
-                if error.errno == errno.EADDRINUSE:
-                    raise ConfigurationError(
-                        f"port {port} on {host} is taken; choose another, or 0 for any that is free"
-                    ) from error
-                raise ConfigurationError(
-                    f"cannot listen on port {port} of {host!r}: {error.strerror}"
-                ) from error
+        for family, *_ in found:
+            socket.create_server((host, port), family=family).close()
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise ConfigurationError(f"cannot listen on port {port} of {host!r}: {error}") from error
 
 
 Check = Callable[[object], Any]

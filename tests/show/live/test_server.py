@@ -18,7 +18,7 @@ def test_taken_port_is_named():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(ConfigurationError, match=rf"port {port} .*taken"):
+        with pytest.raises(ConfigurationError, match=rf"port {port} .*in use"):
             start_server("127.0.0.1", port)
 
 
