@@ -85,9 +85,8 @@ def main(config: Config) -> None:
             objective=config.objective,
             progress=progress,
         )
-    library = GaitLibrary.from_motions(
-        gaits, samples=config.samples, made_by=made_by(("aslip", "casadi", "pin", "numpy", "scipy"))
-    )
+    about = made_by(("aslip", "casadi", "pin", "numpy", "scipy"))
+    library = GaitLibrary.from_motions(gaits, samples=config.samples, made_by=about)
     config.out.parent.mkdir(parents=True, exist_ok=True)
     library.save(config.out)
     print(gait_table(gaits))

@@ -66,10 +66,9 @@ def stack_name(env: StackEnv) -> str | None:
         stack = STACKS[name](libraries[0] if turning else None)
         named = [stack[part] for part in ("observation", "action", "reference")]
         same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
-        ours, theirs = libraries, _reference_libraries(named)
-        if same_keys and (
-            turning or [one.sha256 for one in ours] == [one.sha256 for one in theirs]
-        ):
+        theirs = _reference_libraries(named)
+        same_gaits = turning or [g.sha256 for g in libraries] == [g.sha256 for g in theirs]
+        if same_keys and same_gaits:
             return name
     return None
 

@@ -67,11 +67,11 @@ def render_frames(
             the first picture.
         RenderingError: OpenGL does not work.
     """
-    model = load_model() if model is None else model
+    drawn: mujoco.MjModel = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
-    if qpos.ndim != 2 or qpos.shape[1] != model.nq:
-        raise ShapeError(f"qpos must be (n, {model.nq}), got {qpos.shape}")
-    return _frames(model, qpos, camera, (width, height, supersampling), ghosts, robot)
+    if qpos.ndim != 2 or qpos.shape[1] != drawn.nq:
+        raise ShapeError(f"qpos must be (n, {drawn.nq}), got {qpos.shape}")
+    return _frames(drawn, qpos, camera, (width, height, supersampling), ghosts, robot)
 
 
 def _frames(
