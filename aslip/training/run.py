@@ -43,12 +43,7 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.progress import Progress, ProgressLog, read_progress
-from aslip.training.settings import (
-    SETTINGS_FILE,
-    read_first_command,
-    read_settings,
-    settings_text,
-)
+from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
 
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
@@ -281,7 +276,6 @@ class TrainingRun:
             )
         if resume:
             self._check_settings()
-            self.command = read_first_command(self.folder)
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
         write_text(settings_file, settings_text(self.settings, self.transforms, self.command))
         # temporary files of a killed process
@@ -296,8 +290,8 @@ class TrainingRun:
             return False
         # a run that ended before its first checkpoint leaves only its settings
         try:
-            return not self.settings.keys() <= json.loads(settings_file.read_text()).keys()
-        except (ValueError, AttributeError):
+            return not self.settings.keys() <= read_settings(self.folder)[0].keys()
+        except FileDamagedError:
             return True
 
     @property
@@ -337,7 +331,7 @@ class TrainingRun:
         )
 
     def _check_settings(self) -> None:
-        old, transforms = read_settings(self.folder)
+        old, transforms, self.command = read_settings(self.folder)
         differing = _differences(old, self.settings, _MAY_DIFFER)
         # compare only settings that both have
         if transforms and self.transforms:

@@ -127,7 +127,6 @@ def evaluate(
     env: StackEnv,
     speeds: Sequence[float] | Sequence[Sequence[float]],
     num_steps: int = MAX_EPISODE_STEPS,
-    stand: Sequence[bool] | None = None,
 ) -> list[WalkResult]:
     """Evaluate one walk at each command, from phase 0, without exploration noise.
 
@@ -139,11 +138,10 @@ def evaluate(
         env: environment with one robot for each speed.
         speeds: commanded speeds [m/s]; in a stack for all directions, (n, 3) commands.
         num_steps: largest number of policy steps of a walk, 1 or more.
-        stand: (n,) stand commands, true to stand instead; by default all walk.
 
     Raises:
-        ConfigurationError: the environment has another number of robots or lacks their truth,
-            `num_steps` is not a whole number of 1 or more, or a robot cannot stand.
+        ConfigurationError: the environment has another number of robots, or lacks their truth,
+            or `num_steps` is not a whole number of 1 or more.
     """
     check_count("num_steps", num_steps)
     if env.num_envs != len(speeds):
@@ -159,8 +157,7 @@ def evaluate(
     command = np.asarray(speeds, dtype=np.float32)
     repeated = np.repeat(command[None], num_steps, axis=0)
     keys = [*_RECORDED, *_POSES] if command.ndim == 2 else _RECORDED
-    stands = None if stand is None else np.repeat(np.asarray(stand)[None], num_steps, axis=0)
-    rows = record(policy, env, repeated, keys, stand=stands, until_all_ended=True)
+    rows = record(policy, env, repeated, keys, until_all_ended=True)
     given = np.asarray(speeds, dtype=np.float64).reshape(len(speeds), -1)
     results = _results(rows, given[:, 0], env.base_env.weight)
     return _turned(results, rows, given) if command.ndim == 2 else results

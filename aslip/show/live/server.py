@@ -12,7 +12,6 @@ of controls.
 from __future__ import annotations
 
 import ipaddress
-import logging
 import math
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -43,7 +42,6 @@ def start_server(host: str, port: int) -> viser.ViserServer:
         ConfigurationError: the host is not this machine, or the port is taken or not allowed.
     """
     _check_free(host, port)
-    logging.getLogger("websockets.server").addFilter(_without_tracebacks)
     with _own_origin_only(host):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -110,14 +108,6 @@ def is_own_origin(request: Request, host: str) -> bool:
         return urlsplit(origin).netloc.lower() == own.lower()
     except (LookupError, ValueError):  # a header twice, no address
         return False
-
-
-def _without_tracebacks(record: logging.LogRecord) -> bool:
-    """Drop log records of requests other than a browser's, such as HEAD; shorten the others."""
-    if record.exc_info and record.exc_info[1] is not None:
-        record.msg, record.args = f"{record.getMessage()}: {record.exc_info[1]!r}", ()
-        record.exc_info = record.exc_text = None
-    return not record.msg.startswith("opening handshake failed")
 
 
 def _check_free(host: str, port: int) -> None:

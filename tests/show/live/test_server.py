@@ -1,7 +1,6 @@
 """Invalid addresses, unusual requests, and a missing viser are reported."""
 
 import ast
-import logging
 import socket
 import urllib.request
 from pathlib import Path
@@ -82,20 +81,6 @@ def test_other_web_sites_cannot_reach_the_page(served, origin, host, own):
         visitor.sendall("\r\n".join([*lines, "", ""]).replace("PORT", port).encode())
         status = visitor.recv(1000).split()[1]
     assert status == (b"101" if own else b"403")
-
-
-def test_failed_handler_is_logged_in_one_line(caplog):
-    server = start_server("127.0.0.1", 0)
-    log = logging.getLogger("websockets.server")
-    try:
-        raise ValueError("too large")
-    except ValueError:
-        log.error("connection handler failed", exc_info=True)
-    server.stop()
-    assert [r.getMessage() for r in caplog.records if r.name == log.name] == [
-        "connection handler failed: ValueError('too large')"
-    ]
-    assert "Traceback" not in caplog.text
 
 
 @pytest.mark.parametrize(
