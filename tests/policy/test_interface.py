@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDictBase
-from torchrl.data import Composite
 from torchrl.envs.transforms import CatFrames, InitTracker, ObservationNorm, RewardScaling
 
 import aslip
@@ -41,29 +40,10 @@ from aslip.transforms import (
     RewardTerm,
     SeededTransform,
 )
-from aslip.transforms.base import extend_spec
 from aslip.walking import Walker
 from benchmarks.common import Common, Subject
 from benchmarks.paper import velocity_tracking
 from tests.helpers import MakeEnv
-
-
-class AirTime(SeededTransform):
-    """Entry with memory, like the air time of feet in rsl_rl."""
-
-    def __init__(self) -> None:
-        super().__init__(in_keys=[("truth", "pelvis_position")], out_keys=["air_time"])
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return tensordict_reset.set("air_time", torch.zeros(*tensordict_reset.batch_size, 1))
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("air_time", tensordict["air_time"] + 0.03)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        return extend_spec(observation_spec, {"air_time": 1})
 
 
 class Smooth(SeededTransform):
@@ -93,7 +73,7 @@ def _saved(path: Path, env: StackEnv, size: int = 64) -> Path:
     return path
 
 
-HARMLESS = (InitTracker(), AirTime(), RewardScaling(loc=0.0, scale=0.1))
+HARMLESS = (InitTracker(), RewardScaling(loc=0.0, scale=0.1))
 
 
 def test_other_transforms_keep_the_interface_to_policies(

@@ -17,7 +17,6 @@ from aslip.errors import (
     AslipError,
     AssetError,
     ConfigurationError,
-    RenderingError,
     SpeedOutOfRangeError,
     one_line_errors,
 )
@@ -165,16 +164,6 @@ def test_the_viewer_shows_every_step_in_real_time(
     monkeypatch.setattr("aslip.show.viewer.Pacer", Pacer)
     walk.main(_config(command="0.5", duration=0.3, viewer=True))
     assert waits == list(range(1, 11))
-
-
-@pytest.mark.skipif(
-    sys.platform != "linux", reason="only Linux names its display in the environment"
-)
-def test_viewer_without_a_display_names_the_alternative(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RenderingError, match="use --video"):
-        walk.main(_config(duration=0.3, viewer=True))
 
 
 # ---------------------------------------------------------------------- films

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -65,24 +63,6 @@ def test_a_last_checkpoint_that_cannot_be_written_is_an_error(
     assert "the checkpoint of 20 policy steps could not be written" in str(info.value)
     assert "saved: " in str(info.value)
     assert "checkpoint-000000000010.zip" in str(info.value)
-
-
-def test_a_partly_written_checkpoint_is_removed(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The disk is full after some of the archive's entries."""
-    run = open_run(settings)
-    save_steps(run, 10)
-    write, left = zipfile.ZipFile.writestr, [2]
-
-    def fill(self: zipfile.ZipFile, *args: Any, **kwargs: Any) -> None:
-        left[0] -= 1
-        fail_on_full_disk() if left[0] < 0 else write(self, *args, **kwargs)
-
-    monkeypatch.setattr(zipfile.ZipFile, "writestr", fill)
-    with quiet(), pytest.raises(TrainingStoppedError):
-        save_steps(run, 20)
-    assert [path.name for path in checkpoints(settings)] == ["checkpoint-000000000010.zip"]
 
 
 def test_rows_wait_for_space_on_the_disk(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -94,17 +93,6 @@ def test_commands_are_sequences_of_any_kind(command: Sequence[float]) -> None:
     walker.command = read = walker.command
     walker.reset(list(command))
     assert walker.command == pytest.approx(tuple(command)) == read
-
-
-@pytest.mark.parametrize(
-    ("force", "duration"),
-    [((1, 2), 0.1), ((0, np.nan, 0), 0.1), ((0, 1, 0), 0.0), ((0, 1, 0), np.inf)],
-)
-def test_walker_refuses_invalid_push(
-    walker: Walker, force: tuple[float, ...], duration: float
-) -> None:
-    with pytest.raises(ConfigurationError, match="push"):
-        walker.push(force, duration)
 
 
 def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:

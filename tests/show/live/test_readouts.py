@@ -53,21 +53,6 @@ def test_bars_have_the_names_values_and_lengths_of_the_terms(shown, readouts, li
         assert float(value) == pytest.approx(expected[name], abs=0.006)
 
 
-def test_curves_fill_the_time_axis_from_the_start(shown, readouts, library):
-    walker = Walker("straight", library=library, seed=0)
-    for steps in (0, 1, 5):
-        for _ in range(steps):
-            readouts.add(walker.step())
-        readouts.show(*STATUS)
-        time, *curves = shown["uplot"][0].data
-        assert time[0] == pytest.approx(-PLOT_SPAN, abs=CASSIE.policy_period)
-        # uPlot draws no axis for a range that its data do not fill
-        assert shown["uplot"][0].scales["x"]["range"] == (time[0], time[-1]) == (time[0], 0.0)
-        for curve in curves:
-            assert np.isfinite(curve).sum() == walker.steps
-            assert np.isfinite(curve[len(curve) - walker.steps :]).all()
-
-
 def test_curves_are_the_last_seconds_of_model_robot_and_command(shown, readouts, library):
     walker = Walker("straight", library=library, speed=0.5, seed=0)
     steps = [walker.step() for _ in range(3)]

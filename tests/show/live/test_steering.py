@@ -9,7 +9,6 @@ import pytest
 
 import aslip
 from aslip.envs import EPISODE_ENDS, directions_stack
-from aslip.show.ghost import Ghost
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
@@ -124,25 +123,3 @@ def test_a_button_and_a_key_let_robots_stand_that_can(
                 assert button.label == label
     finally:
         standing.stop()
-
-
-def test_the_ghost_stands_on_both_feet_after_a_reset(standing_walker: Walker) -> None:
-    """At the height and width of the library's rest, without planned footholds."""
-    standing_walker.reset(0.0, stand=True)
-    page = LivePage(standing_walker, port=0)
-    try:
-        assert page.controls.steering.stand is not None
-        assert page.controls.steering.stand.label == "Walk"
-        assert ">stand</td>" in page._readouts._lines.content
-        page.controls.reset.value = True
-        page.turn()
-        assert page.walker.stand
-        table, rom = standing_walker.library.transitions, page._scene._rom
-        assert table is not None
-        ghost = Ghost.of(page.walker.td)
-        assert ghost.left_stance
-        assert ghost.right_stance
-        assert ghost.body[2] == pytest.approx(table.body_position[0, 0, -1, 2], abs=1e-5)
-        assert not any(disc.visible for disc in rom._discs.values())
-    finally:
-        page.stop()
