@@ -82,7 +82,6 @@ from tqdm import tqdm
 from aslip.base.provenance import made_by
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed, replacing
-from aslip.errors import SpeedOutOfRangeError
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -253,16 +252,7 @@ def random_commands(library: GaitLibrary, count: int, seed: int = 0) -> list[np.
     """Commands (3,) drawn uniformly over the region of a library."""
     low, high = np.transpose([axis[[0, -1]] for axis in library.table.axes])
     draws = torch.tensor(np.random.default_rng(seed).uniform(low, high, (20 * count, 3)))
-    return [c.numpy() for c in draws if _covered(library, c)][:count]
-
-
-def _covered(library: GaitLibrary, command: torch.Tensor) -> bool:
-    """True if a command is in the region of a library."""
-    try:
-        library.check_command(command.tolist())
-    except SpeedOutOfRangeError:
-        return False
-    return True
+    return [*draws[library.covers(draws)[:, 0]][:count].numpy()]
 
 
 def differences(library: GaitLibrary, gait: Gait, samples: int) -> list[float]:

@@ -161,14 +161,14 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
             assert process.poll() is None, process.communicate()[1]
             time.sleep(0.1)
         process.send_signal(number)
-        told, said = process.communicate(timeout=120)
+        output, errors = process.communicate(timeout=120)
     assert process.returncode == 128 + number
     go_on = f"python {recipe} --resume --out {out}"
-    assert f"to continue: {go_on}" in told
-    assert f"to continue: {go_on}" in said
-    assert "saved: " in said
+    assert f"to continue: {go_on}" in output
+    assert f"to continue: {go_on}" in errors
+    assert "saved: " in errors
     assert not (out / "policy.zip").exists()
-    assert max(out.glob("checkpoints/*.zip")).name in said
+    assert max(out.glob("checkpoints/*.zip")).name in errors
 
 
 # ----------------------------------------------------------------------- imports
@@ -265,14 +265,14 @@ def test_lines_that_nobody_reads_are_dropped(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_repeated_events_are_one_line_a_second() -> None:
-    said, now = list[str](), [0.0]
-    reports = Reports(said.append, lambda: now[0])
+    lines, now = list[str](), [0.0]
+    reports = Reports(lines.append, lambda: now[0])
     for _ in range(2560):
         reports.add("refused", f"at {now[0]:.1f} s", 3)
         reports.say()
         now[0] += 2**-10
     reports.add("client", "new")
     reports.say()
-    assert said == [
+    assert lines == [
         *("at 0.0 s (3 times)", "at 1.0 s (3072 times)", "at 2.0 s (3072 times)", "new"),
     ]

@@ -248,14 +248,14 @@ def test_settings_on_the_page_of_differences_are_those_of_the_presets() -> None:
     """Code such as `gamma=0.95` in the columns of the default and of the preset `paper`."""
     columns = {"What only the default changes": {1: "default", 2: "paper"}}
     columns["What the preset `paper` keeps"] = {3: "paper"}
-    told = 0
+    compared = 0
     for section in sections((DOCS / "differences.md").read_text()):
         for row in re.findall(r"^\|(.*)\|$", section.text, flags=re.MULTILINE):
             for column, preset in columns.get(section.heading, {}).items():
                 for setting, value in re.findall(r"`(\w+)=([\d.e-]+)`", row.split("|")[column]):
                     assert getattr(PRESETS[preset], setting) == float(value), (preset, setting)
-                    told += 1
-    assert told >= 18
+                    compared += 1
+    assert compared >= 18
 
 
 # ------------------------------------------------------------------------ README

@@ -78,7 +78,7 @@ def save_policy(
         baseline: key of the angles to which the action is added; None for another kind of action.
         command_rates: largest rates of the filtered command that the policy follows [m/s^2,
             rad/s^2], see `aslip.transforms.CommandFilter`; None if it follows the command.
-        stands: True if its robots stand on a wish, see `aslip.transforms.StandClock`.
+        stands: True if its robots can stand, see `aslip.transforms.StandClock`.
         library_sha256: `GaitLibrary.sha256` of the gaits that it follows; None if they do not
             matter.
 

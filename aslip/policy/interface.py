@@ -89,7 +89,7 @@ def command_rates(env: StackEnv) -> tuple[float, ...] | None:
 
 
 def stands(env: StackEnv) -> bool:
-    """True for a stack whose robots stand on a wish, see `aslip.transforms.StandClock`."""
+    """True for a stack whose robots can stand, see `aslip.transforms.StandClock`."""
     return any(isinstance(t, StandClock) for t in env.transforms)
 
 

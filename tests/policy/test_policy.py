@@ -235,8 +235,8 @@ def test_refuses_to_save_an_observation_of_no_named_stack(file: Path) -> None:
     actor = make_recurrent_actor(RunningNormalizer(7), shape)
     given: dict[str, Any] = {"network": make_recurrent_actor, "observation": own}
     (last,) = entry_names(DIRECTION_TABLE[-1:])
-    told = rf"lacks \['{last}'\] and its observation also has \['truth/time'\]; give stack=None"
-    with pytest.raises(ConfigurationError, match=told):
+    message = rf"lacks \['{last}'\] and its observation also has \['truth/time'\]; give stack=None"
+    with pytest.raises(ConfigurationError, match=message):
         save_policy(file, actor, shape, **given)
     assert file.read_bytes() == before
     save_policy(file, actor, shape, stack=None, **given)

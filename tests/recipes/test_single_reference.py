@@ -98,8 +98,10 @@ def test_the_distance_grows_at_the_speed_of_each_step(make: MakeEnv) -> None:
     )
     walk = env.rollout(6, break_when_any_done=False)
     assert (walk["command"] != walk["next", "command"]).any()
-    way = walk["next", "reference", "distance"] - walk["reference", "distance"]
-    torch.testing.assert_close(way, CASSIE.policy_period * walk["command"], atol=1e-6, rtol=0)
+    displacement = walk["next", "reference", "distance"] - walk["reference", "distance"]
+    torch.testing.assert_close(
+        displacement, CASSIE.policy_period * walk["command"], atol=1e-6, rtol=0
+    )
     reached = walk["next", "reference", "distance"]
     torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
 

@@ -42,8 +42,8 @@ def test_walker_follows_command_beyond_the_episode_limit(walker: Walker) -> None
         for _ in range(80):
             td = walker.step()
             assert float(td["next", "command"]) == speed  # pyright: ignore
-        way = float(walker.td["truth", "pelvis_position"][0, 0]) - start  # pyright: ignore
-        assert way / 2.4 == pytest.approx(speed, abs=0.15)
+        displacement = float(walker.td["truth", "pelvis_position"][0, 0]) - start  # pyright: ignore
+        assert displacement / 2.4 == pytest.approx(speed, abs=0.15)
     assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * CASSIE.policy_period)
     assert not walker.fallen
 

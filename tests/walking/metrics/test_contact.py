@@ -119,8 +119,8 @@ def test_airborne_while_neither_foot_has_force() -> None:
 
 def sliding(force: np.ndarray, speed: float) -> np.ndarray:
     """Sole that moves at a constant speed at all times, on a line 3 to 4 [m]."""
-    way = speed * PERIOD * np.arange(len(force))
-    return np.stack([0.6 * way, -0.8 * way, np.zeros(len(force))], axis=1)
+    displacement = speed * PERIOD * np.arange(len(force))
+    return np.stack([0.6 * displacement, -0.8 * displacement, np.zeros(len(force))], axis=1)
 
 
 def test_slip_is_path_within_stances() -> None:
