@@ -5,7 +5,6 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-import torch
 
 from aslip.errors import AssetError, ConfigurationError
 from aslip.robot import CASSIE
@@ -58,19 +57,6 @@ def test_pause_stops_time_and_a_click_steps_once(open_page):
     walk(page, 2)
     assert page.walker.steps == 7
     assert page.controls.pause.label == "Pause"
-
-
-def test_single_step_needs_a_paused_page(open_page):
-    page = open_page()
-    assert page.controls.step.disabled
-    # a click from a page that was drawn earlier
-    click(page.controls.step)
-    walk(page, 2)
-    assert page.walker.steps == 2
-    assert not page.paused
-    click(page.controls.pause)
-    walk(page, 3)
-    assert page.walker.steps == 2
 
 
 def test_new_visitors_see_the_present_poses(open_page):
@@ -133,19 +119,6 @@ def test_push_has_its_direction_size_and_duration(open_page, degrees, ahead, lef
     # the heading is 0 to within two degrees
     np.testing.assert_allclose(pushed[0], 150 * direction, atol=6)
     assert np.linalg.norm(pushed[0]) == pytest.approx(150, rel=1e-5)
-
-
-def test_push_turns_with_the_robot(open_page):
-    page = open_page()
-    orientation = page.walker.td["truth", "pelvis_orientation"]
-    orientation[:] = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5])
-    page.controls.pushes.direction.value = 0
-    page.controls.pushes.size.value = 100
-    click(page.controls.pushes.button)
-    pushes = []
-    page.walker.push = lambda force, duration: pushes.append(force)
-    page.turn()
-    np.testing.assert_allclose(pushes, [[0, 100, 0]], atol=1e-4)
 
 
 def test_policies_are_switched_without_a_restart(open_page):
