@@ -63,14 +63,18 @@ def render_frames(
 
     Raises:
         ShapeError: `qpos` does not fit the model.
-        ValueError: the model has no such camera, or a size exceeds its off-screen buffer; raised by
-            the first picture.
+        ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
+        ValueError: the model has no such camera; raised by the first picture.
         RenderingError: OpenGL does not work.
     """
     drawn: mujoco.MjModel = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
     if qpos.ndim != 2 or qpos.shape[1] != drawn.nq:
         raise ShapeError(f"qpos must be (n, {drawn.nq}), got {qpos.shape}")
+    limits = drawn.vis.global_.offwidth, drawn.vis.global_.offheight
+    sizes = width * supersampling, height * supersampling
+    if min(sizes) < 1 or sizes[0] > limits[0] or sizes[1] > limits[1]:
+        raise ConfigurationError(f"pictures have 1 x 1 to {limits} pixels, got {sizes}")
     return _frames(drawn, qpos, camera, (width, height, supersampling), ghosts, robot)
 
 

@@ -111,11 +111,13 @@ def is_own_origin(request: Request, host: str) -> bool:
 
 
 def _check_free(host: str, port: int) -> None:
+    if not 0 <= port < 2**16:
+        raise ConfigurationError(f"port must be a number from 0 to 65535, got {port!r}")
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         for family, *_ in found:
             socket.create_server((host, port), family=family).close()
-    except (OSError, OverflowError, UnicodeError) as error:
+    except (OSError, UnicodeError) as error:
         raise ConfigurationError(f"cannot listen on port {port} of {host!r}: {error}") from error
 
 
