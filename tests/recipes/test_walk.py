@@ -173,7 +173,7 @@ def test_the_viewer_shows_every_step_in_real_time(
 @pytest.mark.usefixtures("pictures")
 def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
     path = tmp_path / "walk.mp4"
-    size = {"width": 160, "height": 120}
+    size: dict[str, Any] = {"width": 160, "height": 120}
     walk.main(_config(command="1.0", duration=0.15, video=path, steps_per_frame=2, **size))
     about, decoded = decoded_film(path)
     assert about["size"] == (160, 120)
