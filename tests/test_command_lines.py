@@ -146,7 +146,7 @@ _TINY = (
 )
 
 
-# tests/training/test_run.py and test_resume.py hold SIGTERM in the process of the test
+# SIGTERM in the process of the test: tests/training/test_run_checkpoints.py
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
