@@ -2,7 +2,7 @@ r"""Build a library of gaits in all directions from an empty folder, or go on wi
 
 python recipes/direction_library.py                        # 2581 gaits, in runs/directions
 python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
-    --yaw-rates 0 0.5 --limits --checks 0
+    --yaw-rates 0 0.5 --limits
 
 The gaits to the left are solved on all cores, each from a neighbour, and those to the right are
 their mirror images. Every solved gait is stored at once, so that the same command goes on after an
@@ -23,7 +23,7 @@ from pathlib import Path
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 
 LIMITS = (
@@ -63,21 +63,6 @@ class Config(UserPaths):
     """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
     workers: int | None = None
     """Number of processes, all cores by default."""
-    checks: int = 50
-    """Gaits solved at random commands and compared with look-ups."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers that would otherwise fail only after the solves.
-
-        Raises:
-            ConfigurationError: one of them is invalid.
-        """
-        super().__post_init__()
-        if self.checks < 0 or (self.workers is not None and self.workers < 1):
-            raise ConfigurationError(
-                "checks must be 0 or more and workers 1 or more, got"
-                f" {self.checks} and {self.workers}"
-            )
 
 
 if __name__ == "__main__":
@@ -94,10 +79,9 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from aslip.base.provenance import provenance, versions
+from aslip.base.provenance import made_by
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed, replacing
-from aslip.errors import SpeedOutOfRangeError
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -141,8 +125,6 @@ def _build(config: Config) -> GaitLibrary:
     library = _tabulate(config, gaits)
     library.save(config.out / "gaits.npz")
     print(_summary(gaits, missing, library), _standing(library), sep="\n")
-    if config.checks:
-        print(_accuracy(config, library, gaits, store))
     print(f"\n{time.perf_counter() - start:.0f} s -> {config.out / 'gaits.npz'}, region.png")
     return library
 
@@ -186,7 +168,7 @@ def _tabulate(config: Config, gaits: Sequence[Gait]) -> GaitLibrary:
             workers=config.workers,
             folder=config.out / "rows",
             progress=progress,
-            made_by=_made_by(),
+            made_by=made_by(("aslip", "casadi", "pin", "numpy", "scipy")),
             transitions=_transitions(config, gaits),
         )
 
@@ -212,14 +194,6 @@ def _standing(library: GaitLibrary) -> str:
         f"stop {stop:.3f} s after a touchdown, start {start:.3f} s before a lift-off, standing at"
         f" {table.body_position[0, 0, -1, 2]:.3f} m"
     )
-
-
-def _made_by() -> dict[str, str]:
-    """Command, commit and versions, which are saved in the file."""
-    origin = provenance()
-    named = {"command": origin["command"], "commit": origin["commit"]}
-    packages = versions(("aslip", "casadi", "pin", "numpy", "scipy"))
-    return {name: str(value or "") for name, value in {**named, **packages}.items()}
 
 
 def _write_certificates(path: Path, gaits: Sequence[Gait], missing: Missing) -> None:
@@ -254,21 +228,6 @@ def _summary(gaits: Sequence[Gait], missing: Missing, library: GaitLibrary) -> s
     )
 
 
-def _accuracy(
-    config: Config, library: GaitLibrary, gaits: Sequence[Gait], store: GaitFolder
-) -> str:
-    """Differences between look-ups and gaits solved at random commands, see `accuracy_table`."""
-    rows, unsolved = [], []
-    for command in tqdm(random_commands(library, config.checks), desc="checks", unit="gait"):
-        nearest = min(gaits, key=lambda gait: np.linalg.norm(gait.command - command))
-        gait = store.read(command, nearest) or store.solve(command, nearest)
-        if isinstance(gait, Gait):
-            rows.append([*command, *differences(library, gait, config.samples)])
-        else:
-            unsolved.append(f"not compared {tuple(command.tolist())}: {gait}")
-    return "\n".join([*unsolved, accuracy_table(rows)])
-
-
 def accuracy_table(rows: ArrayLike) -> str:
     """Table of the largest differences, and of the share of gaits within the limits.
 
@@ -293,16 +252,7 @@ def random_commands(library: GaitLibrary, count: int, seed: int = 0) -> list[np.
     """Commands (3,) drawn uniformly over the region of a library."""
     low, high = np.transpose([axis[[0, -1]] for axis in library.table.axes])
     draws = torch.tensor(np.random.default_rng(seed).uniform(low, high, (20 * count, 3)))
-    return [c.numpy() for c in draws if _covered(library, c)][:count]
-
-
-def _covered(library: GaitLibrary, command: torch.Tensor) -> bool:
-    """True if a command is in the region of a library."""
-    try:
-        library.check_command(command.tolist())
-    except SpeedOutOfRangeError:
-        return False
-    return True
+    return [*draws[library.covers(draws)[:, 0]][:count].numpy()]
 
 
 def differences(library: GaitLibrary, gait: Gait, samples: int) -> list[float]:

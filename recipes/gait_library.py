@@ -58,14 +58,12 @@ if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = command_line(Config)
 
-import sys
 import time
 
 import numpy as np
 from tqdm import tqdm
 
-import aslip
-from aslip.base.provenance import versions
+from aslip.base.provenance import made_by
 from aslip.library import GaitLibrary
 from aslip.rom import Gait, Mode, optimize_gaits
 from aslip.show.plots import gait_figure, gait_sheet, save_figure
@@ -87,7 +85,8 @@ def main(config: Config) -> None:
             objective=config.objective,
             progress=progress,
         )
-    library = GaitLibrary.from_motions(gaits, samples=config.samples, made_by=made_by())
+    about = made_by(("aslip", "casadi", "pin", "numpy", "scipy"))
+    library = GaitLibrary.from_motions(gaits, samples=config.samples, made_by=about)
     config.out.parent.mkdir(parents=True, exist_ok=True)
     library.save(config.out)
     print(gait_table(gaits))
@@ -122,16 +121,6 @@ def gait_table(gaits: list[Gait]) -> str:
             f"  {certificate.solve_time:.2f}  {certificate.solver_status}"
         )
     return header + "\n".join(rows)
-
-
-def made_by() -> dict[str, str]:
-    """Command and versions, which are saved in the file."""
-    packages = ("casadi", "pin", "numpy", "scipy")
-    return {
-        "command": " ".join(["python recipes/gait_library.py", *sys.argv[1:]]),
-        "aslip": aslip.__version__,
-        **{name: found or "" for name, found in versions(packages).items()},
-    }
 
 
 if __name__ == "__main__":

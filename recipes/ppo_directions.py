@@ -5,7 +5,7 @@
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
 
 PPO is that of `ppo_aslip.py`. In each episode some parameters of robot, floor and sensors are drawn
-at random; pushes and wishes to stand come at random times; and the critic sees true state and
+at random; pushes and stand commands come at random times; and the critic sees true state and
 dynamics, which the policy does not. Training begins with nominal robots and without pushes, and
 ranges and pushes grow from there. Evaluations walk commands from all over the region, on nominal
 robots, without pushes, at 2 kHz physics.
@@ -13,14 +13,14 @@ robots, without pushes, at 2 kHz physics.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ppo_settings import Config, resume_command, run_settings, with_schedule
+from ppo_settings import Config, resume_command, training_settings, with_schedule
 
-from aslip.base.command_line import command_line, usage_error
-from aslip.errors import AslipError, ConfigurationError, one_line_errors
-from aslip.training.settings import check_positive
+from aslip.errors import one_line_errors
+from aslip.training.settings import check_positive, check_range
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class DirectionConfig(Config):
     """Factor on the rates at which the followed command changes (`aslip.transforms.COMMAND_RATES`),
     in training only."""
     stand: float = 0.2
-    """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
+    """Share of the time with a stand command; 0 for robots that only walk. Others need a library
     with stop and start."""
     stand_interval: float = 6.0
-    """Mean time between draws of the wish to stand in an episode [s]."""
+    """Mean time between draws of the stand command in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
     randomise_share: float = 0.3
@@ -66,32 +66,14 @@ class DirectionConfig(Config):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        if not 0 <= self.stand <= 1:
-            raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
-        for name in ("ramp", "randomise_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigurationError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
+        check_range(self, 0, 1, "stand", "ramp", "randomise_share")
+        check_range(self, 0, math.inf, "push_impulse", "encoder_offset")
         check_positive(self, "command_rates", "command_interval", "stand_interval", "push_interval")
-        for name in ("push_impulse", "encoder_offset"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
-
-
-def settings(arguments: list[str] | None = None) -> DirectionConfig:
-    """Read settings from the command line; with `--resume`, the defaults are those of the run."""
-    config = command_line(DirectionConfig, arguments=arguments)
-    if not config.resume:
-        return config
-    try:
-        kept = run_settings(config.out, DirectionConfig())
-    except AslipError as error:
-        usage_error(str(error))
-    return command_line(DirectionConfig, kept, arguments)
 
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
-    CONFIG = settings()
+    CONFIG = training_settings({"default": DirectionConfig()})
 
 from collections.abc import Callable
 from functools import partial
@@ -157,29 +139,30 @@ def main(
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training.
 
-    It differs in rates of the command, and has wishes to stand, other robots, pushes and entries
-    for the critic.
+    It differs in rates of the command, and has stand commands, other robots, pushes and entries for
+    the critic.
     """
     limits = cast("CommandFilter", stack["command_filter"].clone())
     limits.rates = tuple(config.command_rates * rate for rate in limits.rates)
     stack = {**stack, "command_filter": limits}
     if config.stand:
         stack["stand"] = StandCommand(config.stand, config.stand_interval)
-    steps = config.schedule_steps or config.total_steps
+    steps, share = config.schedule_steps or config.total_steps, config.randomise_share
     ramp = round(config.ramp * steps / config.num_envs)
     difficulty = "difficulty" if ramp else None
-    share = config.randomise_share
-    if ramp and (config.randomise or config.push_impulse):
-        # after the dynamics, which read it
-        stack = insert_before(stack, "command", difficulty=Difficulty(ramp))
+    disturbances: Stack = {}
+    if ramp:  # after the dynamics, which read it
+        disturbances["difficulty"] = Difficulty(ramp)
+    if config.push_impulse:
+        disturbances["pushes"] = RandomPushes(
+            config.push_impulse, config.push_interval, difficulty_key=difficulty
+        )
+    stack = insert_before(stack, "command", **disturbances)
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
         stack["dynamics"] = RandomDynamics(WIDE_RANGES, share=share, difficulty_key=difficulty)
         offsets = EncoderOffsets(config.encoder_offset, share=share, difficulty_key=difficulty)
         stack = insert_before(stack, "estimator", encoders=offsets)
-    if config.push_impulse:
-        pushes = RandomPushes(config.push_impulse, config.push_interval, difficulty_key=difficulty)
-        stack = insert_before(stack, "command", pushes=pushes)
     if config.privileged:
         seen = AssembleObservation(privileged_table(drawn(config)), out_keys=[PRIVILEGED])
         stack = insert_before(stack, "action", privileged=seen)

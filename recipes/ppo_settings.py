@@ -18,7 +18,13 @@ from aslip.base.assets import UserPaths
 from aslip.base.command_line import preset_command_line, program, usage_error
 from aslip.base.imports import extras
 from aslip.errors import AslipError, ConfigurationError
-from aslip.training.settings import check_positive, check_shares, check_types, read_settings
+from aslip.training.settings import (
+    check_positive,
+    check_range,
+    check_shares,
+    check_types,
+    read_settings,
+)
 
 with extras():
     import tyro
@@ -125,20 +131,14 @@ class Config(UserPaths):
             "eval_steps", "learning_rate", "last_learning_rate", "adam_epsilon", "clip",
             "max_grad_norm", "value_scale", "std", "last_std",
         )  # fmt: skip
-        for name in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
+        check_range(self, 0, 1, "gamma", "gae_lambda")
+        check_range(self, 0, 0.99, "fall_after")
+        check_range(self, 0, 2**63 - 1, "seed")
+        check_range(self, 0, math.inf, "checkpoint_minutes", "schedule_steps", "num_collectors")
         if self.physics_timestep not in TIMESTEPS:
             raise ConfigurationError(
                 f"physics_timestep must be one of {TIMESTEPS} s, got {self.physics_timestep}"
             )
-        if not 0 <= self.fall_after < 1:
-            raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
-        if not 0 <= self.seed < 2**63:
-            raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
-        for name in ("checkpoint_minutes", "schedule_steps", "num_collectors"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
         check_shares(self.num_envs, self.samples, self.num_collectors or 1)
 
     def learning_rate_after(self, step: int) -> float:

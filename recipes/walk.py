@@ -16,7 +16,6 @@ PlotJuggler.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,17 +98,6 @@ class Config(UserPaths):
                 "--live begins with one command, which the page changes, got the schedule"
                 f" {self.command!r}"
             )
-        page = [name for name in ("policies", "host", "port") if self._differs(name)]
-        if page and not self.live:
-            raise ConfigurationError(f"--{page[0]} is a setting of the page; add --live")
-        for name in ("log", "video"):
-            path = getattr(self, name)
-            if path is not None and path.is_dir():
-                raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
-
-    def _differs(self, name: str) -> bool:
-        """True if a setting is not the default."""
-        return getattr(self, name) != getattr(Config, name)
 
 
 if __name__ == "__main__":
@@ -117,10 +105,9 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import contextlib
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
@@ -134,24 +121,21 @@ from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
-from aslip.show.film import Frame, Look, make_film, seconds_per_frame
+from aslip.show.film import Frame, Look, check_look, make_film
 from aslip.walking import Push, Walker, command_library, policy_steps
 
-# columns of the pelvis velocity in a row [world]
-_AXES = ("velocity_x", "velocity_y")
 # duration of the last speed of a schedule [s]
 _LAST_SPEED = 4.0
 
 
 def main(config: Config) -> None:
     """Walk, and print a table."""
-    check_policies(config)
-    before = {path: age(path) for path in (config.video, config.log) if path}
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
+    look = Look(config.camera, config.width, config.height, config.rom)
     if config.video is not None:
-        announce_film(config, seconds_per_frame(look(config)), duration(config, schedule))
+        check_look(look)
     walker = make_walker(config, schedule)
     schedule = schedule.of_size(walker.library.command_size)
     try:
@@ -159,14 +143,21 @@ def main(config: Config) -> None:
             if config.live:
                 serve(config, walker)
                 return
-            start = velocity(walker.td)
-            rows = walk(config, walker, schedule, pushes)
-    except (KeyboardInterrupt, SystemExit):
-        print(f"stopped after {walker.time:.2f} s; {written(config, before)}")
-        raise
+            rows, frames = walk(config, walker, schedule, pushes)
+    finally:
+        print(f"the robot {'fell after' if walker.fallen else 'walked for'} {walker.time:.2f} s")
+        if config.log is not None and config.log.exists():
+            print(LOG_COMMANDS.format(config.log))
     print(table(schedule, rows))
-    print(outcome(walker, pushes, rows, start))
-    print(written(config, before))
+    if config.video is not None:
+        make_film(config.video, frames, 1 / (config.steps_per_frame * CASSIE.policy_period), look)
+        print(f"wrote {config.video}")
+
+
+LOG_COMMANDS = """wrote {0}
+  python -m aslip.log info {0}             # list its topics
+  python -m aslip.log replay --verify {0}  # simulate it again
+  open it in Foxglove with the layout assets/viewers/foxglove.json"""
 
 
 def serve(config: Config, walker: Walker) -> None:
@@ -175,69 +166,6 @@ def serve(config: Config, walker: Walker) -> None:
 
     policies = dict.fromkeys([config.policy, *config.policies])
     LivePage(walker, {name: name for name in policies}, host=config.host, port=config.port).serve()
-
-
-def outcome(
-    walker: Walker, pushes: list[Push], rows: list[dict[str, float]], start: dict[str, float]
-) -> str:
-    """Sentences about the outcome of the walk and of each push.
-
-    Args:
-        walker: the robot after the walk.
-        pushes: the pushes.
-        rows: rows of `walk`.
-        start: `velocity` before the first policy step.
-    """
-    lines = []
-    for push in sorted(pushes, key=lambda push: push.time):
-        first = policy_steps(push.time)
-        last = min(first + policy_steps(push.duration), len(rows)) - 1
-        if first >= len(rows):
-            continue
-        past = rows[first - 1] if first else start
-        change = [rows[last][name] - past[name] for name in _AXES]
-        lines.append(
-            f"push at {push.time:g} s of {push.force} N for"
-            f" {policy_steps(push.duration) * CASSIE.policy_period:g} s: velocity changed by"
-            f" {change[0]:+.2f} m/s in x and {change[1]:+.2f} m/s in y during the push"
-        )
-    end = "fell after" if walker.fallen else "did not fall in"
-    return "\n".join([*lines, f"the robot {end} {walker.time:.2f} s"])
-
-
-def age(path: Path) -> int | None:
-    """Time of the last change of a file [ns], None if there is no file."""
-    return path.stat().st_mtime_ns if path.exists() else None
-
-
-def written(config: Config, before: Mapping[Path, int | None]) -> str:
-    """Written files, and commands to open them.
-
-    Args:
-        config: the settings.
-        before: `age` of the files before the walk.
-    """
-    new = [path for path, old in before.items() if age(path) not in (None, old)]
-    lines = [f"wrote {path}" for path in new]
-    if config.log in new:
-        lines += [
-            f"  python -m aslip.log info {config.log}             # list its topics",
-            f"  python -m aslip.log replay --verify {config.log}  # simulate it again",
-            "  open it in Foxglove with the layout assets/viewers/foxglove.json",
-        ]
-    if not lines:
-        lines = ["nothing was written; add --log walk.mcap or --video walk.mp4 to keep the walk"]
-    return "\n".join(lines)
-
-
-def check_policies(config: Config) -> None:
-    """Raise ConfigurationError unless all policies have the same stack."""
-    for policy in config.policies:
-        if policy_stack(policy) != policy_stack(config.policy):
-            raise ConfigurationError(
-                f"policies to choose from must share a stack: {config.policy!r} has"
-                f" {policy_stack(config.policy)!r}, {policy!r} has {policy_stack(policy)!r}"
-            )
 
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
@@ -288,24 +216,25 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
     Raises:
         ConfigurationError: a push is outside the walk, or begins during another.
     """
-    free = 0
+    end = 0
     for push in sorted(pushes, key=lambda push: push.time):
-        if not 0 <= push.time < duration:
+        first = policy_steps(push.time)
+        if not 0 <= push.time < duration or first < end:
             raise ConfigurationError(
-                f"a push at {push.time:g} s is outside the walk, from 0 to {duration:g} s"
+                f"a push at {push.time:g} s is outside the walk, from 0 to {duration:g} s, or"
+                " begins before the previous one ends"
             )
-        if policy_steps(push.time) < free:
-            raise ConfigurationError(
-                f"the push at {push.time:g} s begins before the previous one ends, at"
-                f" {free * CASSIE.policy_period:g} s"
-            )
-        free = policy_steps(push.time) + policy_steps(push.duration)
+        end = first + policy_steps(push.duration)
 
 
 def walk(
     config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
-) -> list[dict[str, float]]:
-    """Walk through the schedule or until a fall, and return one row per policy step."""
+) -> tuple[list[dict[str, float]], list[Frame]]:
+    """Walk through the schedule or until a fall.
+
+    Returns:
+        A row per policy step, and the frames of the film if there is one.
+    """
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
     rows, frames = [], [Frame.of(walker.td)]
     with contextlib.ExitStack() as stack:
@@ -328,69 +257,42 @@ def walk(
                 show(Frame.of(td["next"]))
             if walker.fallen:
                 break
-    if config.video is not None:
-        rate = 1 / (config.steps_per_frame * CASSIE.policy_period)
-        make_film(config.video, frames, rate, look(config))
-    return rows
+    return rows, frames
 
 
 def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     """Numbers of a policy step."""
     after = cast("TensorDictBase", td["next"])
-    speed = cast("torch.Tensor", after["true_odometry", "pelvis_velocity"])[0]
-    turns = [cast("torch.Tensor", t["truth", "pelvis_orientation"])[0] for t in (td, after)]
-    turn = np.diff(yaw(torch.stack(turns).double().numpy()))[0]
+    forward, sideways, _ = after["true_odometry", "pelvis_velocity"][0].tolist()
+    orientations: list[Any] = [t["truth", "pelvis_orientation"][0] for t in (td, after)]
+    turn = np.diff(yaw(np.stack([orientation.double() for orientation in orientations])))[0]
     return {
         "time": walker.time,
-        "speed": float(speed[0]),
-        "sideways": float(speed[1]),
+        "speed": forward,
+        "sideways": sideways,
         "yaw_rate": math.remainder(turn, math.tau) / CASSIE.policy_period,
-        **velocity(after),
         "reward": float(after["reward"]),
     }
-
-
-def velocity(td: TensorDictBase) -> dict[str, float]:
-    """Horizontal velocity of the pelvis in the world [m/s]."""
-    values = cast("torch.Tensor", td["truth", "pelvis_velocity"])[0, :2].tolist()
-    return dict(zip(_AXES, values, strict=True))
 
 
 def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     """Commanded and mean speed of each part of the schedule, over its second half."""
     lines = []
-    times = np.array([row["time"] for row in rows])
+    last = rows[-1]["time"]
     ends = [*schedule.times[1:], math.inf]
     names = ("speed", "sideways", "yaw_rate")[: len(numbers(schedule.commands[0]))]
     stands = schedule.stands or (False,) * len(ends)
     parts = zip(schedule.times, ends, schedule.commands, stands, strict=True)
-    for start, end, command, stays in parts:
-        middle = (start + min(end, times[-1])) / 2
+    for start, end, command, stands_still in parts:
+        middle = (start + min(end, last)) / 2
         part = [row for row in rows if middle < row["time"] <= end]
         if part:
-            told = ", ".join(f"{number:.2f}" for number in numbers(command))
-            told = STAND if stays else told
+            text = ", ".join(f"{number:.2f}" for number in numbers(command))
             mean = ", ".join(f"{np.mean([row[name] for row in part]):.3f}" for name in names)
             reward = np.mean([row["reward"] for row in part])
-            lines.append([f"{start:g}", told, mean, f"{reward:.3f}"])
+            lines.append([f"{start:g}", STAND if stands_still else text, mean, f"{reward:.3f}"])
     unit = "m/s" if len(names) == 1 else "m/s, m/s, rad/s"
     return markdown(["from s", f"command {unit}", f"speed {unit}", "mean reward"], lines)
-
-
-def announce_film(config: Config, seconds: float, duration: float) -> None:
-    """Print the estimated time to draw the film of a walk [s], from the time per frame [s]."""
-    frames = policy_steps(duration) // config.steps_per_frame + 1
-    total = frames * seconds
-    took = f"{total / 60:.0f} min" if total >= 90 else f"{total:.0f} s"
-    print(
-        f"drawing {frames} frames after the walk will take about {took}, {seconds:.2f} s each;"
-        " faster: a graphics card, --steps-per-frame 2, or fewer pixels"
-    )
-
-
-def look(config: Config) -> Look:
-    """Camera and size of the film."""
-    return Look(config.camera, config.width, config.height, config.rom)
 
 
 if __name__ == "__main__":

@@ -62,8 +62,8 @@ def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
 def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
     """Keys of entries that only one of them has, or that differ in any bit (NaN equals NaN)."""
     left, right = leaves(a), leaves(b)
-    odd = ["/".join(key) for key in left.keys() ^ right.keys()]
-    return sorted(odd) + sorted(
+    unmatched = ["/".join(key) for key in left.keys() ^ right.keys()]
+    return sorted(unmatched) + sorted(
         "/".join(key)
         for key in left.keys() & right.keys()
         if left[key].dtype != right[key].dtype

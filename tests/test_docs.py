@@ -20,6 +20,8 @@ from aslip.envs import standing_stack
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
 from benchmarks.paper import step_frequency
+from benchmarks.scorecard.learning_curves import report
+from benchmarks.scorecard.learning_record import read_record
 from docs import diagrams
 from recipes.ppo_settings import PRESETS
 from tests.library.standing import standing_library
@@ -92,19 +94,6 @@ def test_the_python_blocks_of_a_page_run_in_order(
         page_name(page),
     )
     exec(compile(code, page_name(page), "exec"), {"__name__": "__docs__"})
-
-
-def test_settings_replaced_by_tests_are_on_the_pages() -> None:
-    code = "".join(_program(page) for page in PAGES)
-    assert [large for large in _SMALLER if large not in code] == []
-
-
-@every_page
-def test_snippets_for_an_installed_package_import_it_alone(page: Path) -> None:
-    """The wheel has neither recipes nor benchmarks; a page that imports them says so."""
-    for line in _program(page).splitlines():
-        if re.match(r"(from|import) (recipes|benchmarks)\b", line):
-            assert "checkout" in page.read_text(), f"{page_name(page)}: {line}"
 
 
 # ------------------------------------------------------------------------- shell
@@ -259,14 +248,14 @@ def test_settings_on_the_page_of_differences_are_those_of_the_presets() -> None:
     """Code such as `gamma=0.95` in the columns of the default and of the preset `paper`."""
     columns = {"What only the default changes": {1: "default", 2: "paper"}}
     columns["What the preset `paper` keeps"] = {3: "paper"}
-    told = 0
+    compared = 0
     for section in sections((DOCS / "differences.md").read_text()):
         for row in re.findall(r"^\|(.*)\|$", section.text, flags=re.MULTILINE):
             for column, preset in columns.get(section.heading, {}).items():
                 for setting, value in re.findall(r"`(\w+)=([\d.e-]+)`", row.split("|")[column]):
                     assert getattr(PRESETS[preset], setting) == float(value), (preset, setting)
-                    told += 1
-    assert told >= 18
+                    compared += 1
+    assert compared >= 18
 
 
 # ------------------------------------------------------------------------ README
@@ -287,19 +276,15 @@ def test_the_readme_names_the_versions_of_python_that_can_be_installed() -> None
     assert "python3.11" in (ROOT / ".ci" / "run").read_text()
 
 
-def test_the_newcomers_table_is_short() -> None:
-    """Paths and objects of the rows are checked by the tests above."""
-    text = (DOCS / "architecture.md").read_text()
-    table = re.search(r"^## Where is \.\.\.\?\n(.*)", text, flags=re.DOTALL | re.MULTILINE)
-    assert table is not None
-    rows = [line for line in table[1].splitlines() if line.startswith("| ")][1:]
-    assert 10 <= len(rows) <= 15
-    assert [
-        row for row in rows if not re.search(r"`(aslip|recipes|benchmarks|assets|tests)[./]", row)
-    ] == []
-
-
 def test_the_map_names_every_room() -> None:
     rooms = {path.name for path in (ROOT / "aslip").iterdir() if (path / "__init__.py").is_file()}
     architecture = (DOCS / "architecture.md").read_text()
     assert {room for room in rooms if f"`aslip/{room}`" not in architecture} == set()
+
+
+def test_the_table_of_learning_curves_is_that_of_the_record() -> None:
+    runs, page = read_record(DOCS / "learning_curves.csv"), (DOCS / "learning.md").read_text()
+    table = re.findall(r"^\| (\w+) \| (\d+) \|.*\n", page, re.MULTILINE)
+    printed = report([runs[variant, int(seed)] for variant, seed in table]).splitlines()[2:]
+    assert len(table) >= 10
+    assert [row for row in printed if row not in page] == []

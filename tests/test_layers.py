@@ -230,73 +230,40 @@ def test_no_room_imports_private_names_of_another() -> None:
                 assert parts[1] == _room(path), f"{path} imports {name}"
 
 
-def _loaded_after(code: str) -> set[str]:
-    """Top-level modules that are loaded after running code in a new interpreter."""
-    script = f"{code}\nimport sys; print(*sorted({{m.split('.')[0] for m in sys.modules}}))"
+_ESTIMATION = """from aslip.estimation import StateEstimator
+estimator = StateEstimator()
+estimator.start(np.full((2, 1, estimator.robot.packet_size), np.nan))"""
+_LOOK_UP = """import aslip, torch
+aslip.GaitLibrary.load().lookup(torch.zeros(1, 1), torch.zeros(1, 1))"""
+_CONTROL = {
+    "import aslip; aslip.__version__": (),
+    "import numpy as np, aslip.rom; aslip.rom.PendulumWalk().sample(np.zeros(1))": (),
+    "from aslip.network.wire import Link": (),
+    "from aslip.network.runner.__main__ import main": (),
+    _ESTIMATION: ("numba", "scipy"),
+}
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        _CONTROL,
+        {"from aslip.rom import optimize_gait": ("casadi", "scipy")},
+        {"from aslip.ik import solve": ("pinocchio", "scipy")},
+        {_LOOK_UP: ("torch", "tensordict")},
+    ],
+    ids=["control", "rom", "ik", "library"],
+)
+def test_parts_load_only_the_libraries_that_they_need(steps: dict[str, tuple[str, ...]]) -> None:
+    """Statements of one program, and the slow libraries that each may load."""
+    script = "import sys\n" + "".join(
+        f"{code}\nprint(*sorted({{m.split('.')[0] for m in sys.modules}}))\n" for code in steps
+    )
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT
     )
-    return set(result.stdout.split())
-
-
-def test_the_package_alone_imports_nothing_heavy() -> None:
-    loaded = _loaded_after("import aslip; aslip.__version__")
-    assert "aslip" in loaded
-    assert not loaded & {"torch", "torchrl", "mujoco", "casadi", "pinocchio", "dm_control"}
-
-
-def test_a_motion_of_a_reduced_order_model_needs_nothing_heavy() -> None:
-    code = "import aslip, numpy as np\nfrom aslip.rom import Gait, Motion, MotionSample\n"
-    loaded = _loaded_after(f"{code}aslip.rom.PendulumWalk().sample(np.zeros(1))")
-    assert not loaded & _HEAVY
-
-
-def test_optimising_gaits_needs_casadi_only() -> None:
-    loaded = _loaded_after("from aslip.rom import optimize_gait")
-    assert loaded & _HEAVY == {"casadi"}
-
-
-def test_a_look_up_needs_torch_only() -> None:
-    code = "import aslip, torch\nzero = torch.zeros(1, 1)\n"
-    loaded = _loaded_after(f"{code}aslip.GaitLibrary.load().lookup(zero, zero)")
-    assert "torch" in loaded
-    assert not loaded & (_HEAVY - {"torch", "tensordict"} | {"scipy"})
-
-
-def test_the_inverse_kinematics_needs_pinocchio_only() -> None:
-    loaded = _loaded_after("from aslip.ik import solve")
-    assert "pinocchio" in loaded
-    assert not loaded & {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"}
-
-
-def test_state_estimation_needs_numpy_and_numba_only() -> None:
-    loaded = _loaded_after(
-        "import numpy as np; from aslip.estimation import StateEstimator\n"
-        "estimator = StateEstimator()\n"
-        "lost = np.full((2, 1, estimator.robot.packet_size), np.nan)\n"
-        "tracking, _ = estimator.start(lost); estimator.update(tracking, None)"
-    )
-    assert "numba" in loaded
-    assert not loaded & _HEAVY
-
-
-def test_the_wire_needs_numpy_only() -> None:
-    loaded = _loaded_after(
-        "import numpy as np\n"
-        "from aslip.network.wire import LOOPBACK, PD_IN, STATE_OUT, Address, Endpoint, Link\n"
-        "from aslip.network.wire import command_to_pd_in\n"
-        "link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)\n"
-        "with Endpoint(link, Address(LOOPBACK, 0), Address(LOOPBACK, 1)) as endpoint:\n"
-        "    endpoint.send(command_to_pd_in(np.zeros(10)))"
-    )
-    assert "numpy" in loaded
-    assert not loaded & (_HEAVY | {"numba", "scipy"})
-
-
-def test_the_runner_of_an_exported_policy_needs_numpy_only() -> None:
-    loaded = _loaded_after("from aslip.network.runner.__main__ import Config, main")
-    assert "numpy" in loaded
-    assert not loaded & (_HEAVY | {"numba", "scipy"})
+    for (code, needed), loaded in zip(steps.items(), result.stdout.splitlines(), strict=True):
+        assert set(loaded.split()) & (_HEAVY | {"numba", "scipy"}) <= {*needed}, code
 
 
 def test_modules_have_the_names_that_stubs_take_from_them() -> None:

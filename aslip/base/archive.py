@@ -153,8 +153,8 @@ def _check(entries: dict[str, bytes]) -> None:
     lines = entries.pop(SUMS, None)
     if lines is None:
         raise ValueError(f"{SUMS} is missing")
-    if odd := set(lines.splitlines()) ^ set(sums(entries).splitlines()):
-        names = sorted({line.split(b"  ", 1)[-1].decode(errors="replace") for line in odd})
+    if differing := set(lines.splitlines()) ^ set(sums(entries).splitlines()):
+        names = sorted({line.split(b"  ", 1)[-1].decode(errors="replace") for line in differing})
         raise ValueError(f"wrong SHA-256 of {', '.join(names[:3])}")
 
 

@@ -1,4 +1,4 @@
-"""Command lines of programs: dataclasses become flags, mistakes become one-line errors.
+"""Command lines of programs: dataclasses become flags, errors become one line.
 
 Programs parse before they import PyTorch, so that `--help` and typos cost no seconds. Programs with
 a loop in real time print with `say` and `Reports`, which never wait for a reader.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import difflib
 import errno
 import functools
 import io
@@ -20,7 +19,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
 
 from aslip.base.imports import extras
@@ -47,14 +45,14 @@ def command_line(
         arguments: words of the command line; those of this program by default.
 
     Raises:
-        SystemExit: after `--help`, or after a one-line message about a mistake (exit status 2).
+        SystemExit: after `--help`, or after a message about a mistake (exit status 2).
     """
     prepare_program()
     with extras():
         import tyro
 
-    given = {} if default is None else {"default": default}
-    return _parsed(lambda **shared: tyro.cli(kind, args=arguments, **given, **shared), kind)
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    return tyro.cli(kind, args=arguments, prog=program(), **given)
 
 
 def preset_command_line(
@@ -76,13 +74,15 @@ def preset_command_line(
     with extras():
         import tyro
 
-    first = next(iter(presets.values()))
     kind = tyro.extras.subcommand_type_from_defaults(
         presets, descriptions={name: descriptions.get(name, "") for name in presets}
     )
-    options: dict[str, Any] = {"default": first, "config": (tyro.conf.CascadeSubcommandArgs,)}
-    return _parsed(
-        lambda **shared: tyro.cli(kind, args=arguments, **options, **shared), type(first)
+    return tyro.cli(
+        kind,
+        args=arguments,
+        prog=program(),
+        default=next(iter(presets.values())),
+        config=(tyro.conf.CascadeSubcommandArgs,),
     )
 
 
@@ -135,23 +135,6 @@ def _one_line(kind: type[BaseException], error: BaseException, *trace: Any) -> N
         print(f"error: {known}", file=sys.stderr)
     except BaseException:
         sys.__excepthook__(kind, error, *trace)
-
-
-def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Settings]) -> Settings:
-    """Result of tyro's parser; its errors are shortened to one line."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            settings, unknown = parse(prog=program(), return_unknown_args=True)
-    except AslipError as error:
-        usage_error(str(error))
-    except SystemExit as stop:
-        if not stop.code:
-            raise
-        usage_error(_reason(stop, said.getvalue()))
-    if unknown:
-        usage_error(_unknown(unknown[0], kind))
-    return settings
 
 
 def usage_error(message: str) -> NoReturn:
@@ -240,23 +223,3 @@ class Reports:
             count, text = self._waiting.pop(kind)
             self._due[kind] = now + _REPORT_PERIOD
             self._say(text if count == 1 else f"{text} ({count} times)")
-
-
-def _reason(stop: SystemExit, said: str) -> str:
-    """Message of the error raised during parsing, or the first paragraph of the parser's output."""
-    cause: BaseException | None = stop
-    while cause is not None:
-        if isinstance(cause, AslipError):
-            return str(cause)
-        cause = cause.__context__
-    lines = [line.strip("│ ") for line in said.splitlines() if line.startswith("│")]
-    paragraph = "\n".join(lines).partition("\n──")[0]
-    return " ".join((paragraph or said).split())
-
-
-def _unknown(word: str, kind: Any) -> str:
-    """Message about an unknown flag that suggests the closest one."""
-    flags = ["--" + field.name.replace("_", "-") for field in fields(kind)]
-    near = difflib.get_close_matches(word.partition("=")[0].replace("_", "-"), flags, n=1)
-    hint = f", did you mean {near[0]}?" if near else ""
-    return f"no option {word!r}{hint}"

@@ -37,6 +37,12 @@ def provenance() -> dict[str, Any]:
     }
 
 
+def made_by(packages: Iterable[str]) -> dict[str, str]:
+    """Provenance of a library of gaits, as text: command, commit and versions of packages."""
+    about = {"command": this_command(), "commit": commit(), **versions(packages)}
+    return {name: value or "" for name, value in about.items()}
+
+
 def versions(packages: Iterable[str]) -> dict[str, str | None]:
     """Versions of Python and of packages."""
     return {"python": platform.python_version(), **{name: _version(name) for name in packages}}

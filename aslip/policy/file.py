@@ -41,9 +41,9 @@ POLICY_FORMAT = ArchiveFormat("policy", 2)
 CARD = "card.json"
 """Entry of a policy file that describes the policy; see `save_policy`."""
 _WEIGHTS = "weights/"
+_LONGEST_REASON = 300
 # observations and action baselines of the named stacks
 _TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
-_KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
@@ -78,7 +78,7 @@ def save_policy(
         baseline: key of the angles to which the action is added; None for another kind of action.
         command_rates: largest rates of the filtered command that the policy follows [m/s^2,
             rad/s^2], see `aslip.transforms.CommandFilter`; None if it follows the command.
-        stands: True if its robots stand on a wish, see `aslip.transforms.StandClock`.
+        stands: True if its robots can stand, see `aslip.transforms.StandClock`.
         library_sha256: `GaitLibrary.sha256` of the gaits that it follows; None if they do not
             matter.
 
@@ -87,11 +87,13 @@ def save_policy(
             finite, or no named stack has this observation. Nothing is written.
         OSError: the file cannot be written; an existing one stays intact.
     """
-    if odd := _actor_differences(actor, network, shape, observation):
+    try:
+        _check_loadable(actor, network, shape, observation)
+    except (RuntimeError, ValueError) as error:
         raise ConfigurationError(
             f"the actor differs from the one that {_network_name(network)!r} makes from {shape}:"
-            f" {'; '.join(odd[:4])}; give the function that made it, network=..."
-        )
+            f" {error}; give the function that made it, network=..."
+        ) from error
     if stack is not None and entry_names(observation) not in _known_observations():
         raise ConfigurationError(
             f"no stack named {stack!r} gives this observation:"
@@ -124,43 +126,40 @@ def _network_name(network: MakeActor) -> str:
     return f"{network.__module__}.{name}"
 
 
-def _actor_differences(
+def _check_loadable(
     actor: nn.Module, network: MakeActor, shape: PolicyShape, observation: Sequence[NestedKey]
-) -> list[str]:
-    """Differences between an actor and the one that `load_policy` would make, in words."""
+) -> None:
+    """Check that `load_policy` would make the same actor.
+
+    Raises:
+        ValueError, RuntimeError: names, shapes or types of weights differ, one is not finite, or
+            the actions differ.
+    """
     with torch.random.fork_rng(devices=[]):
         loaded = network(RunningNormalizer(shape.observation_size), shape, observation)
-    weights = {name: value.detach().cpu() for name, value in actor.state_dict().items()}
-    if odd := _differences(loaded, weights):
-        return odd
-    loaded.load_state_dict(weights)
+    _fill(loaded, {name: value.detach().cpu() for name, value in actor.state_dict().items()})
+    probe = torch.linspace(-1, 1, 2 * shape.observation_size).view(2, -1)
+    given = TensorDict(observation=probe, is_init=torch.ones(2, 1).bool(), batch_size=2)
     device = next(iter(actor.state_dict().values())).device
-    for probe in torch.linspace(-1, 1, 2 * shape.observation_size).view(2, 1, -1):
-        first = torch.ones(1, 1, dtype=torch.bool)
-        given = TensorDict(observation=probe, is_init=first, batch_size=1)
-        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-            ours, theirs = loaded(given.clone()), actor(given.to(device)).cpu()
-        if not torch.allclose(ours["action"], theirs["action"], rtol=1e-4, atol=1e-5):
-            return ["its actions differ for the same weights"]
-    return []
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        ours, theirs = actor(given.to(device)).cpu(), loaded(given.clone())
+    if not torch.allclose(ours["action"], theirs["action"], rtol=1e-4, atol=1e-5):
+        raise ValueError("its actions differ for the same weights")
 
 
-def _differences(expected: nn.Module, weights: Mapping[str, Tensor]) -> list[str]:
-    """Differences between weights and those of a module, in words."""
-    wanted = expected.state_dict()
-    odd = [f"{name!r} is missing" for name in wanted.keys() - weights.keys()]
-    odd += [f"{name!r} is unexpected" for name in weights.keys() - wanted.keys()]
-    for name in sorted(wanted.keys() & weights.keys()):
-        is_, should_be = _kind(weights[name]), _kind(wanted[name])
-        if is_ != should_be:
-            odd.append(f"{name!r} is {is_} instead of {should_be}")
-        elif not weights[name].isfinite().all():
-            odd.append(f"{name!r} is not finite")
-    return sorted(odd)
+def _fill(actor: nn.Module, weights: Mapping[str, Tensor]) -> None:
+    """Load weights into an actor.
 
-
-def _kind(tensor: Tensor) -> str:
-    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+    Raises:
+        ValueError: a weight is not finite, or names or shapes differ from those of the actor.
+    """
+    for name, value in weights.items():
+        if not value.isfinite().all():
+            raise ValueError(f"{name!r} is not finite")
+    try:
+        actor.load_state_dict(weights)
+    except RuntimeError as error:  # its message has a line for each difference
+        raise ValueError(" ".join(str(error).split())[:_LONGEST_REASON]) from error
 
 
 @check_types
@@ -209,11 +208,9 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
         if actor is None:
             _check_count(weights, shape)
             actor = make(_NETWORKS[card["network"]])
-        if odd := _differences(actor, weights):
-            raise ValueError("; ".join(odd))
+        _fill(actor, weights)
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error
-    actor.load_state_dict(weights)
     # for messages about environments that the policy does not fit
     cast("Any", actor).card = {**card, "name": str(name_or_path)}
     # otherwise rollouts would keep autograd graphs
@@ -254,8 +251,9 @@ def policy_stack(name_or_path: str | Path) -> str:
     card = read_card(name_or_path)
     if card["stack"] is None:
         raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} was trained with an unnamed stack:"
-            f" {_stack_difference(card)}; give an environment with the same edits"
+            f"the policy {str(name_or_path)!r} was trained with an unnamed stack: it observes"
+            f" {card['observation']}, and its action is added to {card['baseline']!r}; give an"
+            " environment with the same edits"
         )
     return card["stack"]
 
@@ -273,17 +271,6 @@ def policy_library(name_or_path: str | Path) -> str:
     if card["stack"] == "single_reference":
         return "single_reference"
     return "directions" if "filtered_command" in card["observation"] else "gaits"
-
-
-def _stack_difference(card: Mapping[str, Any]) -> str:
-    """Difference between a policy's stack and the named ones, in words."""
-    if card["observation"] not in _known_observations():
-        return _nearest_difference(card["observation"])
-    if card["baseline"] is None:
-        return "its action is not, or not only, an `ActionDelta`"
-    if card["baseline"] not in _KNOWN_BASELINES:
-        return f"its action is added to {card['baseline']!r}, unlike in any named stack"
-    return "its reference is another motion, or a transform changes its observation"
 
 
 def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:

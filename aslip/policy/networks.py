@@ -195,6 +195,11 @@ def make_actor(
     )
 
 
+def perceptron(inputs: int, outputs: int, hidden: Sequence[int]) -> MLP:
+    """Multi-layer perceptron with rectified linear units and hidden layers of some widths."""
+    return MLP(inputs, outputs, num_cells=list(hidden), activation_class=nn.ReLU)
+
+
 @on_cpu_in_single
 def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None = None) -> MLP:
     """Multi-layer perceptron whose output, the mean action, is small before training.
@@ -204,12 +209,7 @@ def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None 
         inputs: number of inputs.
         hidden: widths of the hidden layers; those of the shape by default.
     """
-    net = MLP(
-        in_features=inputs,
-        out_features=shape.action_size,
-        num_cells=list(shape.hidden if hidden is None else hidden),
-        activation_class=nn.ReLU,
-    )
+    net = perceptron(inputs, shape.action_size, shape.hidden if hidden is None else hidden)
     output = net[-1]
     assert isinstance(output, nn.Linear)
     with torch.no_grad():
@@ -268,12 +268,7 @@ def make_critic(
         scale: factor on the network's output; the magnitude of the returns makes learning faster.
     """
     shape = shape or PolicyShape()
-    net = MLP(
-        in_features=shape.observation_size,
-        out_features=1,
-        num_cells=list(shape.hidden),
-        activation_class=nn.ReLU,
-    )
+    net = perceptron(shape.observation_size, 1, shape.hidden)
     value: nn.Module = nn.Sequential(normalizer, net, Scaled(scale))
     if shape.symmetric:
         value = Symmetrised(value, _mirror_of(shape, observation))

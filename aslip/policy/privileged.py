@@ -9,10 +9,10 @@ from typing import Final
 import torch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
-from torchrl.modules import MLP, ValueOperator
+from torchrl.modules import ValueOperator
 
 from aslip.base.decorators import on_cpu_in_single
-from aslip.policy.networks import PolicyShape, RunningNormalizer, Scaled
+from aslip.policy.networks import PolicyShape, RunningNormalizer, Scaled, perceptron
 from aslip.policy.symmetry import Symmetrised, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
 
@@ -73,12 +73,7 @@ def make_privileged_critic(
     shape = shape or PolicyShape()
     table = privileged_table(dynamics)
     size = sum(PRIVILEGED_SIZES.values()) + len(dynamics)
-    net = MLP(
-        in_features=shape.observation_size + size,
-        out_features=1,
-        num_cells=list(shape.hidden),
-        activation_class=nn.ReLU,
-    )
+    net = perceptron(shape.observation_size + size, 1, shape.hidden)
     parts = _Normalised(normalizer, RunningNormalizer(size, key=key))
     value: nn.Module = nn.Sequential(parts, net, Scaled(scale))
     if shape.symmetric:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import os
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,22 +62,20 @@ class Look:
     hidden."""
 
 
-def seconds_per_frame(look: Look) -> float:
-    """Measure the time to draw a frame [s], after a first frame that sets up OpenGL.
+def check_look(look: Look) -> None:
+    """Draw a frame, so that a film that cannot be drawn fails before the walk.
 
     Raises:
         RenderingError: OpenGL does not work.
-        UnknownNameError: there is no such camera.
-        ConfigurationError: the size is out of range.
+        ConfigurationError: there is no such camera, or the size is out of range.
     """
     from aslip.show.render import render_frames
 
-    qpos = np.tile(load_model().key("standing").qpos, (2, 1))
-    pictures = render_frames(qpos, camera=look.camera, width=look.width, height=look.height)
-    next(pictures)
-    start = time.perf_counter()
-    next(pictures)
-    return time.perf_counter() - start
+    qpos = load_model().key("standing").qpos
+    try:
+        next(render_frames(qpos, camera=look.camera, width=look.width, height=look.height))
+    except ValueError as error:  # MuJoCo's
+        raise ConfigurationError(f"the film cannot be drawn: {error}") from error
 
 
 def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> None:

@@ -21,18 +21,17 @@ _QUANTITIES: Final[dict[str, Callable[[Gait], float]]] = {
 _PANELS = 4
 
 
-def region_figure(
-    gaits: Sequence[Gait], left_out: Sequence[np.ndarray] = (), sideways: Sequence[float] = ()
-) -> Figure:
+def region_figure(gaits: Sequence[Gait], left_out: Sequence[np.ndarray]) -> Figure:
     """Figure of cost, duty factor and step width, a row each, over forward speed and yaw rate.
+
+    Columns are up to four of the sideways speeds to the left.
 
     Args:
         gaits: gaits whose commands are points of a grid of three axes.
         left_out: (3,) commands without a gait, marked with a cross.
-        sideways: sideways speeds of the columns [m/s]; by default up to four of those to the left.
     """
     commands = np.array([gait.command for gait in gaits])
-    columns = np.array(sideways) if len(sideways) else _spread(commands[:, 1])
+    columns = _spread(commands[:, 1])
     figure = Figure(figsize=(1.2 + 2.6 * len(columns), 7.4), layout="constrained")
     panels = figure.subplots(
         len(_QUANTITIES), len(columns), squeeze=False, sharex=True, sharey=True

@@ -1,4 +1,4 @@
-"""Colours of robot, model and legs in scenes, plots and the layouts of viewers.
+"""Colours of robot, model and legs in scenes and plots.
 
 Blue is the left leg and red the right leg; no other curve is blue or red.
 """
@@ -13,19 +13,9 @@ ROBOT = "#e08a1e"
 """Curves of the simulated robot."""
 COMMAND = "#7f7f7f"
 """Commanded speed."""
-ESTIMATE = "#2ca02c"
-"""Curves of the state estimate."""
-OTHERS = ("#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
-"""Other curves, such as reward terms or the motors of one leg."""
-
-
-def rgb(color: str) -> tuple[int, int, int]:
-    """Red, green and blue from 0 to 255, of "#rrggbb"."""
-    red, green, blue = bytes.fromhex(color.removeprefix("#"))
-    return red, green, blue
 
 
 def rgba(color: str) -> tuple[float, float, float, float]:
     """Red, green, blue and an opacity of 1, from 0 to 1, of "#rrggbb"."""
-    red, green, blue = (part / 255 for part in rgb(color))
+    red, green, blue = (part / 255 for part in bytes.fromhex(color.removeprefix("#")))
     return red, green, blue, 1.0

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot.model import APPEARANCE_GROUP, load_model
 from aslip.robot.opengl import make_renderer
 from aslip.show.ghost import (
@@ -62,15 +62,20 @@ def render_frames(
         taken.
 
     Raises:
-        ShapeError: `qpos` does not fit the model, or the number of ghosts is not n.
-        UnknownNameError: the model has no such camera.
+        ShapeError: `qpos` does not fit the model.
         ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
+        ValueError: the model has no such camera; raised by the first picture.
         RenderingError: OpenGL does not work.
     """
-    model = load_model() if model is None else model
+    drawn: mujoco.MjModel = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
-    _check(model, qpos, camera, (width, height, supersampling), ghosts)
-    return _frames(model, qpos, camera, (width, height, supersampling), ghosts, robot)
+    if qpos.ndim != 2 or qpos.shape[1] != drawn.nq:
+        raise ShapeError(f"qpos must be (n, {drawn.nq}), got {qpos.shape}")
+    limits = drawn.vis.global_.offwidth, drawn.vis.global_.offheight
+    sizes = width * supersampling, height * supersampling
+    if min(sizes) < 1 or sizes[0] > limits[0] or sizes[1] > limits[1]:
+        raise ConfigurationError(f"pictures have 1 x 1 to {limits} pixels, got {sizes}")
+    return _frames(drawn, qpos, camera, (width, height, supersampling), ghosts, robot)
 
 
 def _frames(
@@ -94,17 +99,6 @@ def _frames(
             if ghosts is not None:
                 add_ghost(renderer.scene, ghosts[i])
             yield _shrink(renderer.render(), supersampling)
-
-
-def strip(frames: np.ndarray) -> np.ndarray:
-    """Join (n, h, w, 3) frames side by side, the first on the left: (h, n * w, 3).
-
-    Raises:
-        ShapeError: the frames have another number of axes.
-    """
-    if np.ndim(frames) != 4:
-        raise ShapeError(f"frames must be (n, h, w, 3), got {np.shape(frames)}")
-    return np.concatenate(list(frames), axis=1)
 
 
 def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
@@ -159,29 +153,6 @@ def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     coil += _COIL_RADIUS * (np.cos(turn) * first + np.sin(turn) * second)
     rods = start + np.array([[0.0], [_ROD_SHARE], [1.0 - _ROD_SHARE], [1.0]]) * axis
     return np.concatenate([rods[:2], coil, rods[2:]])
-
-
-def _check(
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    camera: str,
-    sizes: tuple[int, int, int],
-    ghosts: Sequence[Ghost] | None,
-) -> None:
-    if qpos.ndim != 2 or qpos.shape[1] != model.nq:
-        raise ShapeError(f"qpos must be (n, {model.nq}), got {qpos.shape}")
-    if ghosts is not None and len(ghosts) != len(qpos):
-        raise ShapeError(f"{len(qpos)} configurations need as many ghosts, got {len(ghosts)}")
-    cameras = [model.camera(i).name for i in range(model.ncam)]
-    if camera not in cameras:
-        raise UnknownNameError(f"there is no camera {camera!r}; the model has {cameras}")
-    width, height, supersampling = sizes
-    limits = model.vis.global_.offwidth, model.vis.global_.offheight
-    if min(sizes) < 1 or width * supersampling > limits[0] or height * supersampling > limits[1]:
-        raise ConfigurationError(
-            f"{width} x {height} pixels at supersampling {supersampling}: each must be 1 or more,"
-            f" and pictures times supersampling at most {limits[0]} x {limits[1]}"
-        )
 
 
 def _shrink(image: np.ndarray, factor: int) -> np.ndarray:

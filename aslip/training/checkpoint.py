@@ -68,8 +68,10 @@ class CollectorState:
         """
         generators = dict(_generators(self._env))
         if generators.keys() != state["generators"].keys():
-            odd = sorted(generators.keys() ^ state["generators"].keys())
-            raise ConfigurationError(f"the state comes from another stack, which differs in {odd}")
+            names = sorted(generators.keys() ^ state["generators"].keys())
+            raise ConfigurationError(
+                f"the state comes from another stack, which differs in {names}"
+            )
         self._collector.load_state_dict(state["torchrl"])
         _set_robots(self._env.base_env, state["robots"])
         for name, generator in generators.items():
@@ -119,22 +121,15 @@ def _set_robots(env: RobotEnv, robots: Mapping[str, Any]) -> None:
     """Restore the output of `_robots`; robots that are not simulated do not change.
 
     Raises:
-        ConfigurationError: the state comes from other robots.
+        ShapeError: the state comes from other robots.
     """
-    if isinstance(env, SimulatedEnv) != bool(robots):
-        raise ConfigurationError(
-            "the state comes from other robots: only one of the two environments is simulated"
-        )
     if not isinstance(env, SimulatedEnv):
         return
     if robots["memory"] > longest_delay(env.model):
         delay = min(robots["memory"], DYNAMICS["torque_delay"].high)
         env.set_dynamics({"torque_delay": delay})
     env.set_dynamics({name: values.numpy() for name, values in robots["dynamics"].items()})
-    states, expected = robots["states"].numpy(), env.states().shape
-    if states.shape != expected:
-        raise ConfigurationError(f"states must have shape {expected}, got {states.shape}")
-    env.set_states(states)
+    env.set_states(robots["states"].numpy())
     env.divergences = robots["divergences"]
 
 
@@ -167,6 +162,7 @@ FORMAT = ArchiveFormat(
     advice="resume a training with the version of aslip that began it",
 )
 """Entries: `metadata.json`, and for each state a JSON tree and its arrays."""
+_METADATA = "metadata.json"
 
 
 def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str, Any]) -> None:
@@ -184,8 +180,8 @@ def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str
     entries = {_METADATA: as_json(dict(metadata))}
     for name, state in states.items():
         arrays: list[bytes] = []
-        entries[_tree(name)] = as_json(_packed(state, arrays))
-        entries |= {_array(name, i): array for i, array in enumerate(arrays)}
+        entries[f"{name}/tree.json"] = as_json(_packed(state, arrays))
+        entries |= {f"{name}/{i}.npy": array for i, array in enumerate(arrays)}
     FORMAT.write(path, entries)
 
 
@@ -199,30 +195,17 @@ def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]
     entries = FORMAT.read(path)
     try:
         metadata = json.loads(entries[_METADATA])
-        states = {name: _state(name, entries) for name in components}
+        if lacking := [name for name in components if f"{name}/tree.json" not in entries]:
+            raise ValueError(f"it lacks the states of {lacking}")
+        states = {
+            name: _unpacked(json.loads(entries[f"{name}/tree.json"]), name, entries)
+            for name in components
+        }
         for name, component in components.items():
             component.load_state_dict(states[name])
     except Exception as error:  # a state that does not fit its component may raise anything
         raise FORMAT.damaged(path, error) from error
     return metadata
-
-
-_METADATA = "metadata.json"
-
-
-def _tree(name: str) -> str:
-    return f"{name}/tree.json"
-
-
-def _array(name: str, index: int) -> str:
-    return f"{name}/{index}.npy"
-
-
-def _state(name: str, entries: Mapping[str, bytes]) -> Any:
-    """State of a component, by name."""
-    if _tree(name) not in entries:
-        raise ValueError(f"it lacks the state of {name!r}")
-    return _unpacked(json.loads(entries[_tree(name)]), name, entries)
 
 
 def _packed(value: Any, arrays: list[bytes]) -> Any:
@@ -247,7 +230,7 @@ def _unpacked(tree: Any, name: str, entries: Mapping[str, bytes]) -> Any:
         return tree
     ((kind, content),) = tree.items()
     if kind == "tensor":
-        return torch.from_numpy(from_npy(entries[_array(name, content)]))
+        return torch.from_numpy(from_npy(entries[f"{name}/{content}.npy"]))
     if kind == "dict":
         return {key: _unpacked(item, name, entries) for key, item in content}
     return {"list": list, "tuple": tuple}[kind](_unpacked(item, name, entries) for item in content)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import Any, Final, Self, cast
+from typing import Any, Final, cast
 
 import torch
 from tensordict import TensorDict
@@ -22,7 +23,7 @@ TORCHRL_SETTINGS: Final[Mapping[str, Any]] = MappingProxyType(
 """Settings common to all collectors of TorchRL."""
 
 
-class LocalCollector:
+class LocalCollector(AbstractContextManager[Any]):
     """Collector of batches (num_envs, T), time last, that resumes bit for bit.
 
     The actor's weights at the time of the request collect the whole batch. As a context manager,
@@ -78,9 +79,6 @@ class LocalCollector:
     def shutdown(self) -> None:
         """Close the environment."""
         self._collector.shutdown()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.shutdown()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Self
 
 import torch
@@ -11,33 +12,24 @@ from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 
 from aslip.base.processes import processors
-from aslip.training.collectors import LocalCollector
 from aslip.training.progress import Progress, check_rewards
 from aslip.training.run import TrainingRun
 
 
+@dataclass
 class TrainingLoop:
-    """Iterator over the batches of a training; made by `training_loop`.
+    """Iterator over the batches of a training; made by `training_loop`."""
 
-    Args:
-        run: folder of the run.
-        progress: state of the training.
-        batches: batches of the collector.
-        keep: copies the state of the training for the next checkpoint, see `TrainingRun.saving`.
-        eval_interval: policy steps between evaluations.
-    """
-
-    def __init__(
-        self,
-        run: TrainingRun,
-        progress: Progress,
-        batches: Iterator[TensorDict],
-        keep: Callable[[int, Mapping[str, Any]], None],
-        eval_interval: int,
-    ) -> None:
-        self.progress = progress
-        self._run, self._batches, self._keep = run, batches, keep
-        self._interval = eval_interval
+    run: TrainingRun
+    """Folder of the run."""
+    progress: Progress
+    """State of the training."""
+    batches: Iterator[TensorDict]
+    """Batches of the collector."""
+    checkpoint: Callable[[int, Mapping[str, Any]], None]
+    """Function of `TrainingRun.checkpointing`."""
+    eval_interval: int
+    """Policy steps between evaluations."""
 
     @property
     def step(self) -> int:
@@ -50,7 +42,7 @@ class TrainingLoop:
     def __next__(self) -> TensorDict:
         if self.progress.finished:
             raise StopIteration
-        data = next(self._batches)
+        data = next(self.batches)
         check_rewards(data)
         return data
 
@@ -61,7 +53,7 @@ class TrainingLoop:
     @property
     def evaluates(self) -> bool:
         """True if an evaluation is due: after each `eval_interval`, and after the last update."""
-        return self.step % self._interval < self.progress.samples or self.progress.finished
+        return self.step % self.eval_interval < self.progress.samples or self.progress.finished
 
     def log(
         self, data: TensorDict, losses: Mapping[str, float], means: Mapping[str, float]
@@ -73,8 +65,8 @@ class TrainingLoop:
             losses: means of the update.
             means: means of an evaluation.
         """
-        self._run.log(self.step, {**self.progress.row(data, losses), **means})
-        self._keep(self.step, self.progress.state())
+        self.run.log(self.step, {**self.progress.row(data, losses), **means})
+        self.checkpoint(self.step, self.progress.state())
 
 
 @contextmanager
@@ -86,23 +78,23 @@ def training_loop(
     Args:
         run: folder of the run.
         components: objects to save and restore, by name; torch's generators are added. They include
-            `actor` and `collector`; the collector is shut down at the end.
+            `collector`, which is shut down at the end.
         settings: settings of the recipe: `preset`, `seed`, `resume`, `total_steps`, `samples`,
             `num_envs`, `eval_interval` and `checkpoint_minutes`.
 
     Raises:
-        TrainingStoppedError: as in `TrainingRun.saving`.
+        TrainingStoppedError: as in `TrainingRun.checkpointing`.
         FileDamagedError: as in `TrainingRun.restore`.
     """
     # PyTorch counts the processors of the machine, not those of a container's quota
     torch.set_num_threads(min(torch.get_num_threads(), processors()))
     components = {**components, "rng": GlobalRNGState()}
-    collector, actor = components["collector"], components["actor"]
+    collector = components["collector"]
     kept = run.restore(components) if settings.resume else None
     progress = Progress(settings.total_steps, settings.samples, kept)
     title = f"preset {settings.preset}, seed {settings.seed}, {settings.num_envs} robots"
     print(run.announcement(title, progress), flush=True)
-    here = isinstance(collector, LocalCollector)
-    batches = progress.watch(collector, actor if here else None, settings.num_envs)
-    with progress, collector, run.saving(components, settings.checkpoint_minutes) as keep:
-        yield TrainingLoop(run, progress, batches, keep, settings.eval_interval)
+    batches = progress.watch(collector)
+    minutes = settings.checkpoint_minutes
+    with progress, collector, run.checkpointing(components, minutes) as checkpoint:
+        yield TrainingLoop(run, progress, batches, checkpoint, settings.eval_interval)

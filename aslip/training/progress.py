@@ -7,15 +7,13 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
-from functools import partial
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch
 from tensordict import TensorDict
-from torch import nn
 from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
@@ -33,7 +31,7 @@ _PROGRESS_FILE = "progress.csv"
 _EPISODES = 256  # number of last episodes in the means
 
 
-class Progress:
+class Progress(AbstractContextManager[Any]):
     """Policy steps, time, episodes and divergences of a training, with a progress bar.
 
     Args:
@@ -74,24 +72,14 @@ class Progress:
             "divergences": self._divergences,
         }
 
-    def watch(
-        self, batches: Iterable[TensorDict], actor: nn.Module | None, robots: int
-    ) -> Iterator[TensorDict]:
-        """Yield batches; with an actor, the bar moves at each of its policy steps.
-
-        Args:
-            batches: the collector.
-            actor: the policy; None if it acts in other processes, to which a policy with a hook
-                cannot be sent.
-            robots: number of robots.
-        """
+    def watch(self, batches: Iterable[TensorDict]) -> Iterator[TensorDict]:
+        """Yield batches, and show the progress of their updates."""
         bar = tqdm(total=self.total, initial=self.step, unit="step", dynamic_ncols=True)
         self._bar = bar
         iterator = iter(batches)
         while True:
             bar.set_description("collecting", refresh=False)
-            with _hook(actor, partial(bar.update, robots)):
-                data = next(iterator, None)
+            data = next(iterator, None)
             if data is None:
                 return
             # only simulated robots can diverge
@@ -132,24 +120,9 @@ class Progress:
             "divergences": self._divergences,
         }
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *exception: object) -> None:
         if self._bar is not None:
             self._bar.close()
-
-
-@contextmanager
-def _hook(module: nn.Module | None, function: Callable[[], object]) -> Iterator[None]:
-    """Context in which a module, if there is one, calls a function after each forward pass."""
-
-    def call(*_: object) -> None:  # a result would replace the module's outputs
-        function()
-
-    handle = module.register_forward_hook(call) if module is not None else nullcontext()
-    with handle:
-        yield
 
 
 def check_rewards(data: TensorDict) -> None:

@@ -32,13 +32,14 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from typing import Any, Final, Self, cast
+from operator import methodcaller
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.utils import NestedKey, unravel_key
 from torch import nn
 from torchrl.collectors import BaseCollector, Collector
@@ -75,7 +76,7 @@ _STORE = 2**29
 _ENDLESS = 2**62
 
 
-class RayCollectors:
+class RayCollectors(AbstractContextManager[Any]):
     """Robots in Ray actors, by TorchRL's `RayCollector`; they start at the first batch.
 
     Args:
@@ -131,15 +132,15 @@ class RayCollectors:
                 collector.update_policy_weights_(self._actor)
                 data = next(batches).unbind(0)
                 self._batches += 1
-                yield _joined(data)
+                batch = cast("TensorDict", torch.cat(data, 0))
+                batch.names = [None] * (batch.ndim - 1) + ["time"]
+                yield batch
         except (ConfigurationError, GeneratorExit):
             raise
-        except Exception as error:  # the type of exception depends on how the process was lost
-            raise CollectorError(
-                f"a collector was lost ({type(error).__name__}: {error})"
-            ) from error
+        except Exception as error:  # of any type, whether Ray cannot be joined or lost a process
+            raise CollectorError(f"Ray failed ({type(error).__name__}: {error})") from error
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, int]:
         """State: the number of batches, without the robots."""
         return {"batches": self._batches}
 
@@ -159,9 +160,6 @@ class RayCollectors:
         if self._ours:
             importlib.import_module("ray").shutdown()
             self._ours = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.shutdown()
@@ -192,7 +190,7 @@ class RayCollectors:
             backend_options={
                 "collector_kwargs": {
                     **TORCHRL_SETTINGS,
-                    "postproc": partial(_select_sent, keys=self.sent),
+                    "postproc": methodcaller("select", *self.sent, strict=False),
                 },
                 "remote_configs": {"num_cpus": threads, "scheduling_strategy": "SPREAD"},
             },
@@ -221,36 +219,11 @@ def make_robots(made: Any, entropy: list[int], steps: int, **settings: Any) -> S
     return env
 
 
-def _select_sent(data: TensorDictBase, keys: list[NestedKey]) -> TensorDictBase:
-    """Entries of a batch to send."""
-    return data.select(*keys, strict=False)
-
-
-def _joined(batches: tuple[TensorDictBase, ...]) -> TensorDict:
-    """Concatenate the batches of all actors along the robots."""
-    data = cast("TensorDict", torch.cat(batches, 0))
-    data.names = [None] * (data.ndim - 1) + ["time"]
-    return data
-
-
 def _join_ray(ray: Any, num_collectors: int) -> None:
-    """Join the cluster at `RAY_ADDRESS`, or start Ray on this machine.
-
-    Raises:
-        ConfigurationError: the cluster cannot be joined.
-    """
+    """Join the cluster at `RAY_ADDRESS`, or start Ray on this machine."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    address = os.environ.get("RAY_ADDRESS")
-    if address:
-        try:
-            ray.init(address=address, log_to_driver=False)
-        # Ray raises different exceptions for connection, token and version
-        except Exception as error:
-            raise ConfigurationError(
-                f"the Ray cluster at RAY_ADDRESS = {address!r} cannot be joined"
-                f" ({type(error).__name__}: {error}); does it run, and are RAY_AUTH_MODE and"
-                " RAY_AUTH_TOKEN those of its head?"
-            ) from error
+    if address := os.environ.get("RAY_ADDRESS"):
+        ray.init(address=address, log_to_driver=False)
         return
     ray.init(
         address="local",

@@ -43,12 +43,7 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.progress import Progress, ProgressLog, read_progress
-from aslip.training.settings import (
-    SETTINGS_FILE,
-    read_first_command,
-    read_settings,
-    settings_text,
-)
+from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
 
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
@@ -135,15 +130,15 @@ class TrainingRun:
     # ------------------------------------------------------------ checkpoints
 
     @contextmanager
-    def saving(
+    def checkpointing(
         self, components: Mapping[str, Any], minutes: float
     ) -> Iterator[Callable[[int, Mapping[str, Any]], None]]:
-        """Context that saves checkpoints during a training and at its end, even after an error.
+        """Context that writes checkpoints during a training and at its end, even after an error.
 
-        It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
-        of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
+        It yields a function `checkpoint(step, metadata)`. Call it after each update: it copies the
+        states of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
         `aslip.base.processes.ENDINGS` or an error interrupts an update, the last copy is written.
-        After Ctrl-C and signals, standard error tells which checkpoint is saved and how to resume.
+        After Ctrl-C and signals, standard error names the saved checkpoint.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
@@ -156,7 +151,7 @@ class TrainingRun:
         """
         last = -math.inf
 
-        def keep(step: int, metadata: Mapping[str, Any]) -> None:
+        def checkpoint(step: int, metadata: Mapping[str, Any]) -> None:
             nonlocal last
             self._state = step, {**metadata, "step": step}, snapshot(components)
             if time.monotonic() - last >= 60 * minutes:
@@ -169,7 +164,7 @@ class TrainingRun:
         stopping = False
         with signals_exit():
             try:
-                yield keep
+                yield checkpoint
             except (KeyboardInterrupt, SystemExit):
                 stopping = True
                 _say(f"stopping: saving the run in {str(self.folder)!r}")
@@ -180,11 +175,11 @@ class TrainingRun:
             finally:
                 unsaved = self._save()
                 if stopping:
-                    _say(self._interrupted(unsaved))
+                    _say(self._ending(None, unsaved))
                 if stopping or cause or unsaved:
                     self._claim.close()
         if cause or unsaved:
-            raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
+            raise TrainingStoppedError(self._ending(cause, unsaved)) from cause or unsaved
 
     def restore(self, components: Mapping[str, Any]) -> dict[str, Any] | None:
         """Load the newest intact checkpoint into the components, and drop later rows of the logs.
@@ -228,14 +223,11 @@ class TrainingRun:
             title: settings to mention.
             progress: state of the training.
         """
-        rounded = ""
-        if progress.total != progress.asked:
-            rounded = f" ({progress.asked}, rounded up to updates of {progress.samples})"
-        plan = f"training for {progress.total} policy steps{rounded}"
+        plan = f"training for {progress.total} policy steps"
         if progress.finished:
             plan = f"nothing left to train after {progress.step} of {progress.asked} policy steps"
         elif progress.step:
-            plan = f"continuing after {progress.step} of {progress.total} policy steps{rounded}"
+            plan = f"continuing after {progress.step} of {progress.total} policy steps"
         about = "; ".join([f"{self.folder}: {plan}", title, *self.changes])
         return f"{about}\nCtrl-C saves and stops; to continue: {self.go_on}"
 
@@ -277,21 +269,20 @@ class TrainingRun:
     # ---------------------------------------------------------------- private
 
     def _open(self, settings_file: Path, resume: bool) -> None:
-        if not resume and self._holds_something(settings_file):
+        if not resume and self._holds_run(settings_file):
             raise ConfigurationError(
                 f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
                 " another folder with --out"
             )
         if resume:
             self._check_settings()
-            self.command = read_first_command(self.folder)
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
         write_text(settings_file, settings_text(self.settings, self.transforms, self.command))
         # temporary files of a killed process
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
 
-    def _holds_something(self, settings_file: Path) -> bool:
+    def _holds_run(self, settings_file: Path) -> bool:
         """True if the folder has files that a new run would overwrite."""
         if self._checkpoints() or self.policy_file.exists() or self._log.path.exists():
             return True
@@ -299,8 +290,8 @@ class TrainingRun:
             return False
         # a run that ended before its first checkpoint leaves only its settings
         try:
-            return not self.settings.keys() <= json.loads(settings_file.read_text()).keys()
-        except (ValueError, AttributeError):
+            return not self.settings.keys() <= read_settings(self.folder)[0].keys()
+        except FileDamagedError:
             return True
 
     @property
@@ -328,39 +319,27 @@ class TrainingRun:
             return error
         return None
 
-    def _interrupted(self, unsaved: OSError | None) -> str:
-        """Message after an interruption: policy steps, saved checkpoint, and how to resume."""
-        if unsaved is not None:
-            return self._stopped_by(None, unsaved)
-        told = f"interrupted before the first update of {str(self.folder)!r}: nothing to save"
-        if self._saved >= 0:
-            file = str(self._checkpoints()[-1])
-            told = f"interrupted after {self._saved} policy steps; saved in {file!r}"
-        return f"{told}\nto continue: {self.go_on}"
-
-    def _stopped_by(self, cause: Exception | None, unsaved: OSError | None) -> str:
-        """Message after an error: policy steps, cause, and the checkpoint to resume from."""
+    def _ending(self, cause: Exception | None, unsaved: OSError | None) -> str:
+        """Message at the end of an unfinished training: cause, checkpoint, and how to resume."""
         step = 0 if self._state is None else self._state[0]
-        reasons = [f"training stopped after {step} policy steps"]
-        if cause is not None:
-            reasons[0] += f" by {type(cause).__name__}: {cause}"
-        if unsaved is not None:
-            reasons.append(_unsaved(step, unsaved))
-        newest = "no checkpoint" if self._saved < 0 else f"the checkpoint of {self._saved} steps"
-        return f"{'; '.join(reasons)}; --resume continues from {newest} in {str(self.folder)!r}"
+        by = "" if cause is None else f" by {type(cause).__name__}: {cause}"
+        failed = "" if unsaved is None else f"; {_unsaved(step, unsaved)}"
+        saved = str(self._checkpoints()[-1]) if self._saved >= 0 else "nothing"
+        return (
+            f"training stopped after {step} policy steps{by}{failed}; saved: {saved}"
+            f"\nto continue: {self.go_on}"
+        )
 
     def _check_settings(self) -> None:
-        old, transforms = read_settings(self.folder)
+        old, transforms, self.command = read_settings(self.folder)
         differing = _differences(old, self.settings, _MAY_DIFFER)
         # compare only settings that both have
         if transforms and self.transforms:
             differing += _differences(transforms, self.transforms)
         if differing:
-            more = len(differing) - _SHOWN
-            told = [*differing[:_SHOWN], *([f"and {more} more"] if more > 0 else [])]
             raise ConfigurationError(
-                f"the run in {str(self.folder)!r} has other settings: {'; '.join(told)}; resume it"
-                " with its own settings, or start another run with --out"
+                f"the run in {str(self.folder)!r} has other settings: {'; '.join(differing)};"
+                " resume it with its own settings, or start another run with --out"
             )
         self.changes = [
             f"{name} {old[name]} -> {self.settings[name]}"
@@ -372,24 +351,17 @@ class TrainingRun:
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
 ) -> list[str]:
-    """Descriptions of the settings that differ; long texts start near the difference."""
-    told = []
-    for name in sorted(old.keys() | new.keys()):
-        if name not in may_differ and old.get(name) != new.get(name):
-            before, now = repr(old.get(name)), repr(new.get(name))
+    """Descriptions of the first settings that differ; long ones start near the difference."""
+    texts = []
+    for name in sorted((old.keys() | new.keys()) - {*may_differ}):
+        before, now = repr(old.get(name)), repr(new.get(name))
+        if before != now:
             pairs = enumerate(zip(before, now, strict=False))
             same = next((i for i, (a, b) in pairs if a != b), 0)
-            told.append(f"{name} was {_shown(before, same)} and is {_shown(now, same)}")
-    return told
-
-
-def _shown(text: str, same: int) -> str:
-    """Part of a long text that starts shortly before the first difference."""
-    if len(text) <= _SHOWN_TEXT:
-        return text
-    start = max(0, same - _SHOWN_TEXT // 2)
-    end = start + _SHOWN_TEXT
-    return f"{'...' if start else ''}{text[start:end]}{'...' if end < len(text) else ''}"
+            start = max(0, same - _SHOWN_TEXT // 2)
+            was, is_ = (text[start : start + _SHOWN_TEXT] for text in (before, now))
+            texts.append(f"{name} was {was} and is {is_}")
+    return texts[:_SHOWN]
 
 
 def _unsaved(step: int, error: OSError) -> str:

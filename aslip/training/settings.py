@@ -6,10 +6,12 @@ The module does not import PyTorch, so that command lines are parsed at once.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from aslip.base.checks import check_count
 from aslip.errors import ConfigurationError, FileDamagedError
 
 SETTINGS_FILE = "config.json"
@@ -18,43 +20,13 @@ SETTINGS_FILE = "config.json"
 _TRANSFORMS, _COMMAND = "transforms", "first_command"  # beside the settings
 
 
-def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """Settings of the run in a folder, and the description of each of its transforms.
+def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str], str]:
+    """Settings of the run in a folder, description of each of its transforms, and first command.
 
     Raises:
         ConfigurationError: the folder holds no run.
         FileDamagedError: the file cannot be read.
     """
-    settings = _read(folder)
-    try:
-        transforms = dict(settings.pop(_TRANSFORMS, {}))
-    except (ValueError, TypeError) as error:
-        raise _damaged(folder, error) from error
-    settings.pop(_COMMAND, None)
-    return settings, transforms
-
-
-def read_first_command(folder: Path) -> str:
-    """Command that started the run in a folder.
-
-    Raises:
-        ConfigurationError: the folder holds no run.
-        FileDamagedError: the file cannot be read.
-    """
-    try:
-        return str(_read(folder)[_COMMAND])
-    except KeyError as error:
-        raise _damaged(folder, error) from error
-
-
-def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str) -> str:
-    """Content of the file that `read_settings` and `read_first_command` read."""
-    about = {**settings, _TRANSFORMS: transforms, _COMMAND: command}
-    return json.dumps(about, indent=1) + "\n"
-
-
-def _read(folder: Path) -> dict[str, Any]:
-    """All entries of a run's file; raises as `read_settings`."""
     path = folder / SETTINGS_FILE
     if not path.is_file():
         raise ConfigurationError(
@@ -62,13 +34,17 @@ def _read(folder: Path) -> dict[str, Any]:
             " folder of a run with --out"
         )
     try:
-        return dict(json.loads(path.read_text()))
+        settings = dict(json.loads(path.read_text()))
+        transforms, command = settings.pop(_TRANSFORMS, {}), settings.pop(_COMMAND, "")
+        return settings, dict(transforms), str(command)
     except (ValueError, TypeError) as error:
-        raise _damaged(folder, error) from error
+        raise FileDamagedError(f"{str(path)!r} is damaged ({error})") from error
 
 
-def _damaged(folder: Path, error: Exception) -> FileDamagedError:
-    return FileDamagedError(f"{str(folder / SETTINGS_FILE)!r} is damaged ({error})")
+def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str) -> str:
+    """Content of the file that `read_settings` reads."""
+    about = {**settings, _TRANSFORMS: transforms, _COMMAND: command}
+    return json.dumps(about, indent=1) + "\n"
 
 
 def check_types(config: Any) -> None:
@@ -103,14 +79,25 @@ def check_positive(config: Any, *names: str) -> None:
             raise ConfigurationError(f"{name} must be positive, got {getattr(config, name)}")
 
 
+def check_range(config: Any, low: float, high: float, *names: str) -> None:
+    """Check that settings are within a range, ends included.
+
+    Raises:
+        ConfigurationError: a setting is not.
+    """
+    for name in names:
+        if not low <= getattr(config, name) <= high:
+            allowed = f"{low} or more" if high == math.inf else f"from {low} to {high}"
+            raise ConfigurationError(f"{name} must be {allowed}, got {getattr(config, name)}")
+
+
 def check_shares(num_envs: int, samples: int, num_collectors: int = 1) -> None:
     """Check that robots divide equally among collectors, and samples among robots.
 
     Raises:
         ConfigurationError: a division has a remainder, or there is no collector.
     """
-    if num_collectors < 1:
-        raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")
+    check_count("num_collectors", num_collectors)
     if num_envs % num_collectors:
         raise ConfigurationError(
             f"num_envs must be a multiple of num_collectors = {num_collectors}, got {num_envs}"

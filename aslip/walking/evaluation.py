@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral
 from typing import Any, Final, cast
 
 import numpy as np
@@ -13,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 
+from aslip.base.checks import check_count
 from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.base.tables import markdown
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
@@ -127,28 +127,23 @@ def evaluate(
     env: StackEnv,
     speeds: Sequence[float] | Sequence[Sequence[float]],
     num_steps: int = MAX_EPISODE_STEPS,
-    stand: Sequence[bool] | None = None,
 ) -> list[WalkResult]:
     """Evaluate one walk at each command, from phase 0, without exploration noise.
 
-    Commands and wishes stay constant: `RandomCommand` and `StandCommand` do not change them. A walk
-    ends with its episode or after `num_steps`.
+    All commands stay constant: `RandomCommand` and `StandCommand` do not change them. A walk ends
+    with its episode or after `num_steps`.
 
     Args:
         policy: maps the environment's tensordict to `action`.
         env: environment with one robot for each speed.
         speeds: commanded speeds [m/s]; in a stack for all directions, (n, 3) commands.
         num_steps: largest number of policy steps of a walk, 1 or more.
-        stand: (n,) wishes, true to stand instead; by default all walk.
 
     Raises:
-        ConfigurationError: the environment has another number of robots or lacks their truth,
-            `num_steps` is not a whole number of 1 or more, or a robot cannot stand.
+        ConfigurationError: the environment has another number of robots, or lacks their truth,
+            or `num_steps` is not a whole number of 1 or more.
     """
-    if not isinstance(num_steps, Integral) or isinstance(num_steps, bool) or num_steps < 1:
-        raise ConfigurationError(
-            f"num_steps must be a whole number of 1 or more, got {num_steps!r}"
-        )
+    check_count("num_steps", num_steps)
     if env.num_envs != len(speeds):
         raise ConfigurationError(
             f"env must have one robot for each of the {len(speeds)} speeds, got {env.num_envs}"
@@ -162,8 +157,7 @@ def evaluate(
     command = np.asarray(speeds, dtype=np.float32)
     repeated = np.repeat(command[None], num_steps, axis=0)
     keys = [*_RECORDED, *_POSES] if command.ndim == 2 else _RECORDED
-    wishes = None if stand is None else np.repeat(np.asarray(stand)[None], num_steps, axis=0)
-    rows = record(policy, env, repeated, keys, stand=wishes, until_all_ended=True)
+    rows = record(policy, env, repeated, keys, until_all_ended=True)
     given = np.asarray(speeds, dtype=np.float64).reshape(len(speeds), -1)
     results = _results(rows, given[:, 0], env.base_env.weight)
     return _turned(results, rows, given) if command.ndim == 2 else results
@@ -248,29 +242,17 @@ def walk_table(results: Sequence[WalkResult]) -> str:
     names = list(results[0].terms)
     turning = any(r.sideways_speed or r.yaw_rate for r in results)
     unit = "m/s, m/s, rad/s" if turning else "m/s"
-    header = [
-        f"command [{unit}]",
-        "steps",
-        "return",
-        f"speed [{unit}]",
-        "drift [m]",
-        "force/weight",
-        *names,
-    ]
-    rows = [
-        [
-            _listed(r.speed, r.sideways_speed, r.yaw_rate) if turning else str(round(r.speed, 3)),
-            f"{r.steps}" + ("" if r.survived else " fell"),
-            f"{r.total:.1f}",
-            _listed(r.mean_speed, r.mean_sideways_speed, r.mean_yaw_rate)
-            if turning
-            else f"{r.mean_speed:.3f}",
-            f"{r.lateral_drift:.3f}",
-            f"{r.weight_ratio:.4f}",
-            *(f"{r.terms[name]:.3f}" for name in names),
-        ]
-        for r in results
-    ]
+    header = [f"command [{unit}]", "steps", "return", f"speed [{unit}]", "drift [m]"]
+    rows = []
+    for r in results:
+        command, speed = str(round(r.speed, 3)), f"{r.mean_speed:.3f}"
+        if turning:
+            command = f"{r.speed:.3f}, {r.sideways_speed:.3f}, {r.yaw_rate:.3f}"
+            speed += f", {r.mean_sideways_speed:.3f}, {r.mean_yaw_rate:.3f}"
+        steps = f"{r.steps}" + ("" if r.survived else " fell")
+        cells = [command, steps, f"{r.total:.1f}", speed, f"{r.lateral_drift:.3f}"]
+        terms = [f"{r.terms[name]:.3f}" for name in names]
+        rows.append([*cells, f"{r.weight_ratio:.4f}", *terms])
     mean = sum(r.total for r in results) / len(results)
     survived, on_feet, tracked = (
         sum(getattr(r, name) for r in results) for name in ("survived", "on_feet", "tracked")
@@ -279,8 +261,4 @@ def walk_table(results: Sequence[WalkResult]) -> str:
         f"of {len(results)} speeds {survived} survived, {on_feet} on the feet,"
         f" {tracked} tracked within {TRACKING_TOLERANCE:g} m/s; mean return {mean:.1f}"
     )
-    return f"{markdown(header, rows)}\n\n{summary}"
-
-
-def _listed(*velocity: float) -> str:
-    return ", ".join(f"{value:.3f}" for value in velocity)
+    return f"{markdown([*header, 'force/weight', *names], rows)}\n\n{summary}"

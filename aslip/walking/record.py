@@ -32,14 +32,14 @@ from aslip.transforms import RandomCommand, StandCommand
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
-_FORCE: Final[NestedKey] = ("next", "truth", "ground_force")
-# groups with the robot's position: simulated truth, or the estimator's odometry
-_PLACES: Final = ("true_odometry", "odometry")
+# group with the robot's position
+_ODOMETRY: Final = "true_odometry"
 # array of `Walks` -> entry of a policy step, for the other arrays
 _RECORDED: Final[dict[str, NestedKey]] = {
     "phase": ("next", "phase"),
     "reward": ("next", "reward"),
     "action": "action",
+    "ground_force": ("next", "truth", "ground_force"),
     "body_position": ("next", "reference", "body_position"),
     "body_velocity": ("next", "reference", "body_velocity"),
 }
@@ -51,8 +51,7 @@ class Walks:
 
     Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
     velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`, which moves
-    along the path in stacks with several axes of commands. Without a simulation, pelvis and feet
-    come from the state estimator, and ground forces are NaN.
+    along the path in stacks with several axes of commands.
     """
 
     command: np.ndarray
@@ -82,8 +81,8 @@ class Walks:
     body_to_foot: np.ndarray
     """(m, n, 2, 3) feet of the reduced-order model, from its body [m]."""
     frame: np.ndarray
-    """(m, n, 3) pose of the frame in which places are given, in that after the first step: x, y [m]
-    and yaw [rad]. Zero for frames at rest."""
+    """(m, n, 3) pose of the heading frame in that after the first step: x, y [m] and yaw [rad].
+    Zero for frames at rest."""
 
     def __post_init__(self) -> None:
         """Check that all arrays have m steps and n walks.
@@ -110,16 +109,13 @@ class Walks:
 
     @property
     def pelvis_place(self) -> np.ndarray:
-        """(m, n, 2) pelvis along the ground, in a frame at rest as that of `foot_place` [m]."""
+        """(m, n, 2) pelvis along the ground, in the heading frame after the first step [m]."""
         turned = rotate_level(self.pelvis_position[..., :2], self.frame[..., 2])
         return turned + self.frame[..., :2]
 
     @property
     def foot_place(self) -> np.ndarray:
-        """(m, n, 2, 2) sole centres along the ground, left and right, in a frame at rest [m].
-
-        It is the heading frame after the first step, even where `foot_position` moves along.
-        """
+        """(m, n, 2, 2) sole centres along the ground, left and right, in that frame [m]."""
         turned = rotate_level(self.foot_position[..., :2], self.frame[..., None, 2])
         return turned + self.frame[..., None, :2]
 
@@ -127,9 +123,6 @@ class Walks:
         """Slice of one walk, n = 1: steps `start` to `stop`."""
         rows = slice(start, stop), slice(index, index + 1)
         return Walks(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-
-# ------------------------------------------------------------------------ the loop
 
 
 @torch.no_grad()
@@ -164,7 +157,7 @@ def walk(
         steps: number of policy steps m.
         command: (m, n) commanded speed of each step [m/s], or (m, n, c) for c axes of commands; by
             default the tensordict's.
-        stand: (m, n) wish to stand in each step, for stacks of robots that stand on a wish; by
+        stand: (m, n) stand command in each step, for stacks of robots that stand; by
             default the tensordict's.
         push: (n, 3) force on the pelvis throughout [N, world].
 
@@ -200,44 +193,43 @@ def reset_walks(
         stand: 1 to stand and 0 to walk, one or (n,); walks by default.
 
     Raises:
-        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
+        ConfigurationError: a robot is to stand, and the stack has no stand command.
     """
     values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
-    wishes = checked_wishes(env, np.broadcast_to(stand, len(command)), (len(command),))
-    if wishes is not None:
-        values["stand"] = wishes
+    stands = checked_stand(env, np.broadcast_to(stand, len(command)), (len(command),))
+    if stands is not None:
+        values["stand"] = stands
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
 
 
 def can_stand(env: StackEnv) -> bool:
-    """True if robots of an environment stand on a wish, see `aslip.transforms.StandClock`."""
+    """True if robots of an environment can stand, see `aslip.transforms.StandClock`."""
     return "stand" in env.observation_spec.keys()  # noqa: SIM118
 
 
-def checked_wishes(
+def checked_stand(
     env: StackEnv, stand: np.ndarray | None, shape: tuple[int, ...]
 ) -> np.ndarray | None:
-    """Wishes to stand of a shape; None for robots that cannot stand, which walk.
+    """Stand commands of a shape; None for robots that cannot stand, which walk.
 
     Raises:
         ShapeError: `stand` has another shape.
-        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
+        ConfigurationError: a robot is to stand, and the stack has no stand command.
     """
-    wishes = np.zeros(shape) if stand is None else np.asarray(stand)
-    if wishes.shape != shape:
-        raise ShapeError(f"stand must be {shape} as the command, got {wishes.shape}")
+    stands = np.zeros(shape) if stand is None else np.asarray(stand)
+    if stands.shape != shape:
+        raise ShapeError(f"stand must be {shape} as the command, got {stands.shape}")
     if can_stand(env):
-        return wishes
-    if np.any(wishes > 0):
+        return stands
+    if np.any(stands > 0):
         raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
     return None
 
 
 def _columns(values: np.ndarray) -> torch.Tensor:
     """Entry (n, k) from values (n,) or (n, k), in single precision."""
-    entry = torch.tensor(values).float()
-    return entry[:, None] if entry.ndim == 1 else entry
+    return torch.tensor(values).float().reshape(len(values), -1)
 
 
 @on_cpu_in_single
@@ -257,7 +249,7 @@ def record(
         env: environment of n robots; `add_memory` prepares it for a recurrent policy.
         command: (m, n) commanded speed of each policy step [m/s], or (m, n, c) for c axes.
         keys: entries of a policy step to record; absent ones are left out.
-        stand: (m, n) wish to stand, 1 or 0, in each policy step; robots walk by default.
+        stand: (m, n) stand command, 1 or 0, in each policy step; robots walk by default.
         until_all_ended: stop once the episode of every robot has ended.
 
     Returns:
@@ -265,9 +257,9 @@ def record(
 
     Raises:
         ShapeError: `stand` has another shape.
-        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
+        ConfigurationError: a robot is to stand, and the stack has no stand command.
     """
-    stand = checked_wishes(env, stand, command.shape[:2])
+    stand = checked_stand(env, stand, command.shape[:2])
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
     with commands_kept(env):
@@ -286,22 +278,15 @@ def record(
 def commands_kept(env: StackEnv) -> Iterator[None]:
     """Suspend the environment's own changes of the command, and its stand commands."""
     changing = [t for t in env.transforms if isinstance(t, RandomCommand | StandCommand)]
-    wishing = [t for t in changing if isinstance(t, StandCommand)]
-    intervals, shares = [t.interval for t in changing], [t.share for t in wishing]
-    for transform in changing:
-        transform.interval = math.inf
-    for transform in wishing:
-        transform.share = 0.0
+    kept = [(t, "interval", t.interval) for t in changing]
+    kept += [(t, "share", t.share) for t in changing if isinstance(t, StandCommand)]
+    for transform, name, _ in kept:
+        setattr(transform, name, math.inf if name == "interval" else 0.0)
     try:
         yield
     finally:
-        for transform, interval in zip(changing, intervals, strict=True):
-            transform.interval = interval
-        for transform, share in zip(wishing, shares, strict=True):
-            transform.share = share
-
-
-# ------------------------------------------------------------------------- arrays
+        for transform, name, value in kept:
+            setattr(transform, name, value)
 
 
 @on_cpu_in_single
@@ -318,25 +303,24 @@ def record_walks(
         env: environment of n robots; without its `aslip.envs.EPISODE_ENDS` transforms walks end in
             falls only.
         command: (m, n) commanded forward speed of each policy step [m/s], or (m, n, c) for c axes.
-        stand: (m, n) wish to stand, 1 or 0, in each policy step; robots walk by default.
+        stand: (m, n) stand command, 1 or 0, in each policy step; robots walk by default.
 
     Raises:
         ShapeError: `command` or `stand` is not for n robots, or has no policy step.
-        ConfigurationError: a command is not finite, the environment has no odometry, true or
-            estimated, or a robot shall stand and cannot.
+        ConfigurationError: a command is not finite, the environment has no true odometry, or a
+            robot is to stand and cannot.
     """
     command = checked_commands(env, command, (env.num_envs,))
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
-    place = _place(env)
-    pelvis: list[NestedKey] = [("next", place, name) for name in _PELVIS]
-    feet: list[NestedKey] = [
-        ("next", group, foot) for group in (place, "reference") for foot in _FEET
-    ]
-    frame: list[NestedKey] = [("next", place, name) for name in ("origin", "path_error")]
-    keys = [("next", "terminated"), ("next", "heading"), *frame, _FORCE]
-    keys += [*_RECORDED.values(), *pelvis, *feet]
-    return _as_walks(record(policy, env, command, keys, stand=stand), place, command)
+    if _ODOMETRY not in env.observation_spec:
+        raise ConfigurationError(
+            f"walks need to know where robots are: the stack must have a `HeadingFrame`, which"
+            f" writes {_ODOMETRY!r}"
+        )
+    keys: list[NestedKey] = [("next", name) for name in ("terminated", "heading", _ODOMETRY)]
+    keys += [*_RECORDED.values(), *(("next", "reference", foot) for foot in _FEET)]
+    return _as_walks(record(policy, env, command, keys, stand=stand), command)
 
 
 def checked_commands(env: StackEnv, command: np.ndarray, robots: tuple[int, ...]) -> np.ndarray:
@@ -366,31 +350,6 @@ def checked_commands(env: StackEnv, command: np.ndarray, robots: tuple[int, ...]
     return command
 
 
-def _place(env: StackEnv) -> str:
-    """Group of entries with the positions of an environment's robots.
-
-    Raises:
-        ConfigurationError: the environment has no odometry, true or estimated.
-    """
-    for place in _PLACES:
-        if place in env.observation_spec:
-            return place
-    raise ConfigurationError(
-        "walks need to know where robots are: the stack must have a `HeadingFrame`, which writes"
-        " 'true_odometry', or an `EstimatedState`, which writes 'odometry'"
-    )
-
-
-def _frame(rows: TensorDict, place: str) -> torch.Tensor:
-    """Poses (m, n, 3) of the frame of a group of places; see `Walks.frame`."""
-    origin = rows.get(("next", place, "origin"), None)
-    if origin is None or ("next", place, "path_error") not in rows.keys(True):
-        return torch.zeros(*rows.shape, 3)
-    heading = cast("torch.Tensor", rows["next", "heading"])
-    pose = frame_poses(*(values.double().numpy() for values in (origin, heading)))
-    return torch.from_numpy(pose)
-
-
 def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
     """Poses (m, n, 3) of a moving frame in its first one: x, y [m] and yaw [rad].
 
@@ -402,23 +361,26 @@ def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
         The poses; their yaw counts whole turns.
     """
     yaw = np.unwrap(heading, axis=0) - heading[:1]
-    way = rotate_level((origin - origin[:1])[..., :2], -heading[:1, :, 0])
-    return np.concatenate([way, yaw], axis=-1)
+    displacement = rotate_level((origin - origin[:1])[..., :2], -heading[:1, :, 0])
+    return np.concatenate([displacement, yaw], axis=-1)
 
 
-def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
+def _as_walks(rows: TensorDict, command: np.ndarray) -> Walks:
     """Arrays of (m, n) policy steps; NaN from the step of a fall on."""
     fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
     alive = ~np.logical_or.accumulate(fell.numpy(), axis=0)
+    places = cast("TensorDict", rows["next", _ODOMETRY])
     values = {name: cast("torch.Tensor", rows[key]) for name, key in _RECORDED.items()}
-    values |= {name: rows["next", place, name] for name in _PELVIS}
-    values["ground_force"] = rows.get(_FORCE, torch.full((*fell.shape, 2, 3), torch.nan))
-    for name, group in (("foot_position", place), ("body_to_foot", "reference")):
+    values |= {name: places[name] for name in _PELVIS}
+    for name, group in (("foot_position", _ODOMETRY), ("body_to_foot", "reference")):
         values[name] = torch.stack([rows["next", group, foot] for foot in _FEET], dim=2)
     for name in ("phase", "reward"):
         values[name] = values[name][..., 0]
-    values["frame"] = _frame(rows, place)
     arrays = {name: value.double().numpy() for name, value in values.items()}
+    arrays["frame"] = np.zeros((*fell.shape, 3))
+    if {"origin", "path_error"} <= set(places.keys()):
+        moving: list[Any] = [places["origin"], rows["next", "heading"]]
+        arrays["frame"] = frame_poses(*(value.double().numpy() for value in moving))
     for array in arrays.values():
         array[~alive] = np.nan
     return Walks(command=command.astype(np.float64), alive=alive, **arrays)

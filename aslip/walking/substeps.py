@@ -20,7 +20,7 @@ from aslip.policy import add_memory
 from aslip.robot import CASSIE
 from aslip.walking.record import (
     checked_commands,
-    checked_wishes,
+    checked_stand,
     commands_kept,
     reset_walks,
     walk,
@@ -75,12 +75,12 @@ def record_substeps(
         env: environment of one simulated robot; without its `aslip.envs.EPISODE_ENDS` transforms
             the walk ends in a fall only.
         command: (m,) commanded forward speed of each policy step [m/s], or (m, c) for c axes.
-        stand: (m,) wishes of each policy step, true to stand; by default it walks.
+        stand: (m,) stand commands of each policy step, true to stand; by default it walks.
 
     Raises:
         ShapeError: `command` or `stand` has another shape, or no policy step.
         ConfigurationError: the environment has several robots, or no simulated one, or the robot
-            shall stand, and the stack has no wish to stand.
+            is to stand, and the stack has no stand command.
     """
     command = checked_commands(env, command, ())
     base = env.base_env
@@ -90,12 +90,12 @@ def record_substeps(
         )
     rows, fell = [], False
     with commands_kept(env):
-        wishes = checked_wishes(env, None if stand is None else stand[:, None], (len(command), 1))
-        begins = 0.0 if wishes is None else wishes[0]
-        start = reset_walks(add_memory(env, policy), command[:1], stand=begins)
+        stand = checked_stand(env, None if stand is None else stand[:, None], (len(command), 1))
+        first = 0.0 if stand is None else stand[0]
+        start = reset_walks(add_memory(env, policy), command[:1], stand=first)
         base.watch(0)
-        given = {"command": command[:, None], "stand": wishes}
-        for td in walk(policy, env, start, len(command), **given):
+        command = command[:, None]
+        for td in walk(policy, env, start, len(command), command=command, stand=stand):
             rows.append(base.watched.copy())
             fell = bool(td["next", "terminated"])
             if fell:

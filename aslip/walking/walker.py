@@ -54,11 +54,11 @@ class Walker:
             shipped ones of the policy's stack, or those of `env`.
         seed: seed of the default environment, by default its own.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
-        stand: first wish to stand.
+        stand: first stand command.
 
     Raises:
         ConfigurationError: the environment has several robots, another observation or action
-            baseline than the policy's card, or a robot that shall stand and cannot.
+            baseline than the policy's card, or a robot that is to stand and cannot.
         SpeedOutOfRangeError: the library does not cover the command.
     """
 
@@ -88,8 +88,7 @@ class Walker:
         named = isinstance(policy, str | Path)
         stack = policy_stack(policy) if named else "default"
         gaits = None if stack == "single_reference" else self.library
-        env = make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
-        return env
+        return make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
 
     @property
     def policy(self) -> TensorDictModuleBase:
@@ -123,14 +122,14 @@ class Walker:
 
     @property
     def can_stand(self) -> bool:
-        """True if the robot stands on a wish; see `stand`."""
+        """True if the robot stands on command; see `stand`."""
         return can_stand(self.env)
 
     @property
     def stand(self) -> bool:
-        """Wish to stand; assign to change it. False for robots that cannot stand.
+        """Stand command; assign to change it. False for robots that cannot stand.
 
-        The robot slows down, stops at a touchdown and stands, until it shall walk again.
+        The robot slows down, stops at a touchdown and stands, until it is to walk again.
 
         Raises:
             ConfigurationError: at assignment of True, the robot cannot stand.
@@ -144,7 +143,7 @@ class Walker:
             self.td["stand"] = torch.tensor([[float(stand)]])
         elif stand:
             raise ConfigurationError(
-                "the robot cannot stand on a wish; it needs a policy of the stack 'standing'"
+                "the robot cannot stand; it needs a policy of the stack 'standing'"
             )
 
     def _checked(self, command: Command | Sequence[float]) -> tuple[float, ...]:
@@ -177,11 +176,11 @@ class Walker:
 
         Args:
             speed: command; by default the current one.
-            stand: wish to stand.
+            stand: stand command.
 
         Raises:
             SpeedOutOfRangeError: the library does not cover the command.
-            ConfigurationError: the robot shall stand and cannot.
+            ConfigurationError: the robot is to stand and cannot.
         """
         command = numbers(self.command) if speed is None else self._checked(speed)
         self.td: TensorDictBase = reset_walks(self.env, np.array([command]), stand=float(stand))

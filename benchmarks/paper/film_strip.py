@@ -76,7 +76,7 @@ from aslip.library import numbers
 from aslip.robot import CASSIE
 from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
-from aslip.show.render import render_frames, strip
+from aslip.show.render import render_frames
 from aslip.walking import Walker
 from benchmarks.common import MakeEnv, Policy, Subject
 from benchmarks.flags import Common
@@ -186,7 +186,7 @@ def draw(stride: Stride, config: Config) -> Figure:
         (rows[0], pictures[:count], "reduced-order model"),
         (rows[1], pictures[count:], "robot"),
     ):
-        axes.imshow(strip(frames), interpolation="antialiased")
+        axes.imshow(np.hstack(frames), interpolation="antialiased")
         for i in range(1, count):
             axes.axvline(i * config.width - 0.5, color="white", lw=2)
         axes.set_ylabel(name, fontsize=14)

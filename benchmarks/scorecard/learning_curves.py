@@ -183,7 +183,7 @@ def _check_settings(folder: Path, variant: str, seed: int) -> None:
     """
     if not (folder / SETTINGS_FILE).exists():
         return
-    kept, _ = read_settings(folder)
+    kept = read_settings(folder)[0]
     wanted = _settings(variant, seed)
     other = {
         name: kept[name]
@@ -205,7 +205,7 @@ def _check_schedule(config: Config, folder: Path) -> None:
     """
     if not (folder / SETTINGS_FILE).exists():
         return
-    kept, _ = read_settings(folder)
+    kept = read_settings(folder)[0]
     wanted = config.schedule_steps or config.total_steps
     given = kept.get("schedule_steps") or kept.get("total_steps") or wanted
     if given != wanted:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from aslip.base import processes
-from aslip.base.processes import processors, worker_pool
+from aslip.base.processes import processors
 
 # without `if __name__ == "__main__":`
 _SCRIPT = """
@@ -56,11 +56,6 @@ def test_the_quota_of_a_container_limits_the_processors(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text + "\n")
     assert processors() == expected
-
-
-def test_one_worker_needs_no_pool() -> None:
-    with worker_pool(1) as pool:
-        assert pool is None
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")

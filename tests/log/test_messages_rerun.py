@@ -187,19 +187,24 @@ def test_rerun_blueprint_follows_the_robot(chunk: ModuleType, rerun_log: RerunLo
     assert frame == [["pelvis"]]
 
 
-def test_shipped_layouts_are_those_of_the_recipe(
-    tmp_path: Path, chunk: ModuleType, capsys: pytest.CaptureFixture[str]
+def test_rerun_opens_log_and_blueprint_as_one_application(
+    walk: Walk, chunk: ModuleType, tmp_path: Path
 ) -> None:
-    from recipes import viewer_layouts
+    """Rerun ignores blueprints of other applications."""
+    import rerun
 
-    viewer_layouts.main(viewer_layouts.Config(out=tmp_path))
-    assert len(capsys.readouterr().out.splitlines()) == 3
-    for name in ("foxglove.json", "plotjuggler.xml"):
-        shipped = asset_path(f"viewers/{name}").read_text(encoding="utf-8")
-        assert (tmp_path / name).read_text(encoding="utf-8") == shipped
-    # entities of a blueprint have random names
-    shipped, made = (
-        vars(Blueprint(path, chunk))
-        for path in (asset_path("viewers/rerun.rbl"), tmp_path / "rerun.rbl")
+    blueprint = asset_path("viewers/rerun.rbl")
+    name = Blueprint(blueprint, chunk).application
+    stream = rerun.RecordingStream(name)
+    stream.save(tmp_path / "both.rrd")
+    for path in (blueprint, walk[0]):
+        rerun.log_file_from_path(path, recording=stream)
+    stream.disconnect()
+    reader = chunk.RrdReader(tmp_path / "both.rrd")
+    assert {store.application_id for store in reader.blueprints()} == {name}
+    recordings = reader.recordings()
+    assert {store.application_id for store in recordings} == {name}
+    assert any(
+        "/cassie" in {str(part.entity_path) for part in reader.stream(store=store).to_chunks()}
+        for store in recordings
     )
-    assert made == shipped

@@ -16,7 +16,6 @@ from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
     add_memory,
-    make_actor,
     make_recurrent_actor,
     read_card,
     save_policy,
@@ -61,7 +60,7 @@ def test_hidden_state_lasts_one_episode(make: MakeEnv, file: Path) -> None:
     torch.testing.assert_close(again["loc"], data["loc"], rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("settings", [{}, {"keep": ["observation"]}, {"drop": ["first_step"]}])
+@pytest.mark.parametrize("settings", [{}, {"keep": ["observation"]}])
 def test_a_recurrent_policy_refuses_an_environment_that_drops_its_memory(
     make: MakeEnv, file: Path, settings: dict[str, Any]
 ) -> None:
@@ -104,12 +103,6 @@ def test_add_memory_refuses_the_memory_of_another_policy(make: MakeEnv) -> None:
     env = add_memory(make(), small)
     with pytest.raises(ConfigurationError, match=r"'memory' has shape \(1, 16\).*\(1, 8\)"):
         add_memory(env, large)
-
-
-def test_add_memory_ignores_feedforward_policy(make: MakeEnv) -> None:
-    env = make()
-    names = env.transform_names
-    assert add_memory(env, make_actor(RunningNormalizer(64))).transform_names == names
 
 
 @pytest.mark.parametrize("shape", [PolicyShape(symmetric=True), PolicyShape(hidden=())])

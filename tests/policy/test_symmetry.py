@@ -49,11 +49,6 @@ def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) ->
         td = after
 
 
-def test_refuses_entry_without_mirror_image() -> None:
-    with pytest.raises(UnknownNameError, match="temperature"):
-        observation_mirror([("estimate", "temperature")])
-
-
 def test_symmetrised_network_is_equivariant() -> None:
     inputs, outputs = observation_mirror(), action_mirror()
     net = torch.nn.Sequential(torch.nn.Linear(64, 32), torch.nn.ReLU(), torch.nn.Linear(32, 10))

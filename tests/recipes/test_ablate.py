@@ -169,7 +169,7 @@ def test_an_interrupted_training_gives_no_result(
     with pytest.raises(KeyboardInterrupt):
         ablate.main(config, go_on="python ablate.py --seeds 0")
     said = capsys.readouterr().err
-    assert "interrupted after 16 policy steps" in said
+    assert "training stopped after 16 policy steps" in said
     assert "default-0" in said
     assert "to continue: python ablate.py --seeds 0\n" in said
     other = ablate.replace(config, total_steps=64)

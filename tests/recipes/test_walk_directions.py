@@ -81,15 +81,3 @@ def test_policies_for_all_directions_have_a_shipped_library(files: tuple[Path, P
     # the fixture's library is smaller
     with pytest.raises(SpeedOutOfRangeError, match="outside the gait library"):
         walk.main(_settings(files, command="0:0.4 0 0,3:0.4 0.5 0"))
-
-
-def test_a_walker_takes_commands_of_three_numbers(files: tuple[Path, Path]) -> None:
-    walker = Walker(files[1], library=symmetric_library(), speed=0.4, seed=0)
-    assert walker.command == pytest.approx((0.4, 0.0, 0.0))
-    walker.command = (0.2, 0.1, -0.5)
-    td = walker.step()
-    assert td["next", "command"][0].tolist() == pytest.approx([0.2, 0.1, -0.5])  # pyright: ignore
-    walker.reset()
-    assert walker.command == pytest.approx((0.2, 0.1, -0.5))
-    with pytest.raises(SpeedOutOfRangeError):
-        walker.command = 2.0

@@ -15,7 +15,6 @@ from aslip.library.footholds import Footholds, touchdown_phases, yaw_rotation
 from aslip.robot import SIDES
 from aslip.rom import PendulumWalk, SampledMotion, Track
 from aslip.show.ghost import Ghost
-from tests.helpers import MakeEnv
 from tests.library.bent import symmetric_library
 
 
@@ -55,50 +54,6 @@ def test_stance_follows_from_the_foot_velocity(
     assert (ghost.left_stance, ghost.right_stance) == stance
 
 
-def test_ghost_is_of_the_chosen_robot(make: MakeEnv) -> None:
-    td = make(num_envs=3).reset()
-    ghost = Ghost.of(td, 2)
-    np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
-
-
-def test_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
-    """Also rows of double precision, as in logs."""
-    groups = _instant(library, 0.2, 1.0, 0.5)
-    rows = [
-        {k: v[0].double().numpy() for k, v in groups[g].items()} for g in ("reference", "truth")
-    ]
-    before = [{name: value.copy() for name, value in group.items()} for group in rows]
-    Ghost.of_rows(*rows)
-    for group, kept in zip(rows, before, strict=True):
-        for name, value in kept.items():
-            np.testing.assert_array_equal(group[name], value, err_msg=name)
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.65, 1.0, 2.0])
-def test_planned_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
-    """Two steps are a stride; sideways they cancel."""
-    footholds = Footholds(library)
-    left, right = (footholds.step(side, speed) for side in SIDES)
-    stride = float(library.stride(torch.tensor([[speed]], dtype=torch.float64))) * speed
-    np.testing.assert_allclose(left + right, [stride, 0.0], atol=2e-3)
-    np.testing.assert_allclose(left[1], 0.2, atol=1e-3)
-
-
-def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:
-    """A step is from the stance foot to the landing foot at touchdown."""
-    footholds, gait = Footholds(library), library.gaits[12]
-    for i, side in enumerate(SIDES):
-        phase = footholds.touchdown_phase(side, gait.speed)
-        k = int(np.searchsorted(gait.time, phase * gait.stride + 1e-9))
-        feet = gait.feet.position[k]
-        np.testing.assert_allclose(
-            footholds.step(side, gait.speed), (feet[i] - feet[1 - i])[:2], atol=1e-3
-        )
-    first, second = (footholds.touchdown_phase(side, 1.2) for side in SIDES)
-    assert second - first == pytest.approx(0.5)
-    assert 0.3 < first < 0.5
-
-
 def test_touchdowns_of_a_pendulum_precede_its_change_of_stance() -> None:
     """Feet swing for 80 % of a step, 0.4 strides, and touch down before the stance changes."""
     for walk in (PendulumWalk(speed=0.0), PendulumWalk(speed=1.0)):
@@ -121,15 +76,6 @@ def test_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
     turned = footholds.planned("left", 0.8, foot, about) - foot[:2]
     cosine, sine = np.cos(1.0), np.sin(1.0)
     np.testing.assert_allclose(turned, np.array([[cosine, -sine], [sine, cosine]]) @ step)
-
-
-def test_yaw_rotation_ignores_pitch() -> None:
-    yaw, pitch = 0.7, 0.4
-    half = np.array([yaw, pitch]) / 2
-    (cy, cp), (sy, sp) = np.cos(half), np.sin(half)
-    # pitch first, then yaw
-    quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
-    np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
 
 
 def _turning(phase: float, command: tuple[float, ...], yaw: float) -> TensorDict:

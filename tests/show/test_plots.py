@@ -21,7 +21,7 @@ def test_trainings_are_compared_by_mean_and_range_up_to_the_shortest() -> None:
     groups = {
         "mine": [run([100.0, 200.0, 300.0], [nan, nan, 90.0]), run([300.0, 400.0], [nan, 50.0])],
         "other": [run([10.0, 20.0, 30.0], [nan, nan, nan])],
-        "not begun": [{}],
+        "not started": [{}],
     }
     figure = compare_learning(groups)
     assert [axes.get_ylabel() for axes in figure.axes] == [

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -12,11 +11,11 @@ import numpy as np
 import pytest
 
 from aslip.base import imports
-from aslip.errors import ConfigurationError, RenderingError, ShapeError
+from aslip.errors import RenderingError
 from aslip.robot import opengl
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
-from aslip.show.render import add_ghost, render_frames, spring_path, strip
+from aslip.show.render import render_frames, spring_path
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 
@@ -53,14 +52,6 @@ def test_robot_is_in_the_middle_of_every_camera(model, standing, camera):
     assert columns.min() < 48 < columns.max()
 
 
-def test_cameras_follow_the_robot(model, standing):
-    far = standing.copy()
-    # whole squares of the floor, so that the same picture is expected
-    far[:, 0] += 10.0
-    near, away = drawn(np.concatenate([standing, far]), model=model, **SIZE).astype(int)
-    assert np.abs(near - away).mean() < 2.0
-
-
 def test_collision_geoms_and_sites_are_hidden(standing):
     garish = load_model()
     visible = drawn(standing, model=garish, **SIZE)
@@ -81,16 +72,6 @@ def test_ghosts_are_drawn_and_show_stance(model, standing):
     assert (stance != swing).any()
 
 
-def test_strip_joins_from_left_to_right():
-    frames = np.arange(2 * 3 * 4 * 3, dtype=np.uint8).reshape(2, 3, 4, 3)
-    image = strip(frames)
-    assert image.shape == (3, 8, 3)
-    np.testing.assert_array_equal(image[:, :4], frames[0])
-    np.testing.assert_array_equal(image[:, 4:], frames[1])
-    with pytest.raises(ShapeError, match="frames"):
-        strip(frames[0])
-
-
 @pytest.mark.parametrize("end", [[0.2, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 1.0, 0.9]])
 def test_spring_connects_body_and_foot_along_the_leg(end):
     start, end = np.array([0.0, 0.0, 0.9]), np.array(end)
@@ -102,28 +83,7 @@ def test_spring_connects_body_and_foot_along_the_leg(end):
     assert np.linalg.norm(off, axis=1).max() == pytest.approx(0.027, abs=1e-9)
 
 
-def test_leg_of_no_length_is_drawn_as_a_point():
-    assert np.isfinite(spring_path(np.zeros(3), np.zeros(3))).all()
-
-
-def test_full_scene_is_refused(model):
-    scene = mujoco.MjvScene(model, maxgeom=5)
-    with pytest.raises(ConfigurationError, match="full"):
-        add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
-
-
-@pytest.mark.parametrize(
-    ("backend", "warned", "problem"),
-    [
-        ("glfw", "", "MUJOCO_GL = glfw does not work (RuntimeError: (65550) b'X11: "),
-        (
-            "OSMsea ",
-            "no pictures: {}\n",
-            "the environment variable MUJOCO_GL = 'OSMsea ' must",
-        ),
-    ],
-)
-def test_without_opengl_the_error_says_what_to_set(backend: str, warned: str, problem: str):
+def test_without_opengl_the_error_says_what_to_set():
     code = (
         "from aslip.robot.model import load_model\n"
         "from aslip.errors import RenderingError\n"
@@ -134,7 +94,7 @@ def test_without_opengl_the_error_says_what_to_set(backend: str, warned: str, pr
         "    except RenderingError as error:\n"
         "        print(error)\n"
     )
-    environment = os.environ | {"MUJOCO_GL": backend}
+    environment = os.environ | {"MUJOCO_GL": "OSMsea "}
     for display in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(display, None)
     root = Path(__file__).parents[2]
@@ -143,34 +103,10 @@ def test_without_opengl_the_error_says_what_to_set(backend: str, warned: str, pr
     )
     assert result.returncode == 0, result
     (line,) = set(result.stdout.splitlines())
-    assert line.startswith(f"no pictures: {problem}")
+    problem = "no pictures: the environment variable MUJOCO_GL = 'OSMsea ' must"
+    assert line.startswith(problem)
     assert all(f"MUJOCO_GL={name}" in line for name in ("egl", "osmesa", "glfw"))
-    said = line.removeprefix("no pictures: ").partition(";")[0]
-    assert result.stderr == warned.format(said)
-
-
-@pytest.mark.parametrize(
-    ("libraries", "display", "egl_works", "backend"),
-    [
-        ((), "", False, "egl"),  # whose error is shown
-        (("libOSMesa",), "", True, "egl"),
-        (("libOSMesa",), ":0", False, "osmesa"),
-        ((), ":0", False, "glfw"),
-    ],
-)
-def test_what_works_is_taken(
-    libraries: tuple[str, ...],
-    display: str,
-    egl_works: bool,
-    backend: str,
-    monkeypatch: pytest.MonkeyPatch,
-):
-    monkeypatch.setattr(opengl, "loads", lambda library: library in libraries)
-    tried = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(returncode=not egl_works))
-    monkeypatch.setattr(opengl, "subprocess", tried)
-    monkeypatch.setenv("DISPLAY", display)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert opengl._first_backend() == backend
+    assert result.stderr.startswith(problem)
 
 
 def test_a_failure_of_opengl_is_not_tried_again(model, monkeypatch):

@@ -32,8 +32,8 @@ def constant_network(value: float) -> torch.nn.Linear:
 def save_steps(run: TrainingRun, *steps: int) -> None:
     """Save checkpoints of a network whose weights equal the step."""
     for step in steps:
-        with run.saving({"net": constant_network(step)}, 0.0) as keep:
-            keep(step, {"elapsed_s": 1.5 * step})
+        with run.checkpointing({"net": constant_network(step)}, 0.0) as checkpoint:
+            checkpoint(step, {"elapsed_s": 1.5 * step})
 
 
 def checkpoints(settings: Settings) -> list[Path]:

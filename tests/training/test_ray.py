@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -214,7 +213,7 @@ def test_recipes_train_on_two_nodes_and_resume_without_one_of_them(
     config = DirectionConfig(**{**vars(TINY), **changes})
     with monkeypatch.context() as patch:
         patch.setattr(sys.modules["ppo_aslip"], "update", losing)
-        with pytest.raises(TrainingStoppedError, match=r"CollectorError.*--resume continues"):
+        with pytest.raises(TrainingStoppedError, match=r"CollectorError.*; saved: "):
             ppo_directions.main(config)
     assert read_progress(config.out)["step"] == [64, 128]
     ppo_directions.main(replace(config, resume=True, num_collectors=1))
@@ -276,39 +275,11 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
         time.sleep(0.2)
 
 
-class Sender:
-    """Collector that sends its policy away before each batch."""
-
-    def __init__(self, make_env: Any, actor: torch.nn.Module, **settings: Any) -> None:
-        self._local, self._actor = LocalCollector(make_env, actor, **settings), actor
-
-    def __iter__(self) -> Iterator[TensorDict]:
-        batches = iter(self._local)
-        while True:
-            pickle.dumps(self._actor)
-            yield next(batches)
-
-    def __enter__(self) -> Sender:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._local.shutdown()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._local, name)
-
-
-def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> None:
-    ppo_aslip.main(replace(TINY, out=tmp_path / "run"), make_collector=Sender)
-    assert read_progress(tmp_path / "run")["step"] == [64, 128]
-
-
 @needs_ray
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"num_collectors": 3}, "num_envs must be a multiple of num_collectors = 3, got 4"),
-        ({"num_collectors": 0}, "num_collectors must be 1 or more, got 0"),
         ({"samples": 30}, "samples must be a multiple of num_envs = 4, got 30"),
         ({"device": "cuda"}, "need device='cpu', got cuda"),
     ],
@@ -358,25 +329,6 @@ def test_robots_of_ray_cannot_go_on_in_this_process() -> None:
         collector.load_state_dict({"batches": 2})
 
 
-def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Ray:
-        @staticmethod
-        def is_initialized() -> bool:
-            return False
-
-        @staticmethod
-        def init(**settings: Any) -> None:
-            raise ConnectionError(f"no one at {settings['address']}")
-
-        shutdown = is_initialized
-
-    monkeypatch.setenv("RAY_ADDRESS", "somewhere:1")
-    monkeypatch.setitem(sys.modules, "ray", Ray)
-    collector = _collector(RayCollectors, torch.nn.Identity())
-    with collector, pytest.raises(ConfigurationError, match=r"'somewhere:1'.*no one at"):
-        next(iter(collector))
-
-
 @pytest.mark.parametrize(
     ("processors", "collectors", "threads"),
     [([8], 2, 4), ([8], 3, 2), ([2, 6], 2, 3), ([4, 4], 3, 2), ([1, 1, 1], 3, 1), ([0, 4], 1, 4)],
@@ -385,8 +337,3 @@ def test_every_collector_gets_the_largest_number_of_threads_that_fits_all(
     processors: list[int], collectors: int, threads: int
 ) -> None:
     assert threads_each(processors, collectors) == threads
-
-
-def test_more_collectors_than_processors_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="at most 4, the processors of the Ray cluster"):
-        threads_each([2, 2], 5)

@@ -16,42 +16,24 @@ from aslip.training import run as run_module
 from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
-from aslip.training.settings import read_settings
 from benchmarks.common import quiet
 from tests.training.run_folder import (
     Settings,
     constant_network,
     open_run,
-    save_steps,
 )
 
 
-def test_settings_are_kept(settings: Settings) -> None:
-    run = open_run(settings)
-    stored, transforms = read_settings(settings.out)
-    assert (stored, transforms) == (run.settings, {})
-    assert stored["learning_rate"] == 1e-4
-    assert run.policy_file == settings.out / "policy.zip"
-
-
-def test_a_folder_with_a_run_is_not_overwritten(settings: Settings) -> None:
-    run = open_run(settings)
-    run.log(1, {"value": 1.0})
-    save_steps(run, 1)
-    before = (settings.out / "progress.csv").read_bytes()
+@pytest.mark.parametrize(
+    "name", ["checkpoints/checkpoint-1.zip", "progress.csv", "policy.zip", "config.json"]
+)
+def test_a_run_and_its_remains_are_not_overwritten(settings: Settings, name: str) -> None:
+    """A checkpoint, a learning curve, a policy, or settings of another program."""
+    (settings.out / name).parent.mkdir(parents=True)
+    (settings.out / name).write_text('{"other": "thing"}')
     with pytest.raises(ConfigurationError, match=r"holds a run already.*--resume.*--out"):
         open_run(settings)
-    assert (settings.out / "progress.csv").read_bytes() == before
-
-
-@pytest.mark.parametrize("name", ["progress.csv", "policy.zip", "config.json"])
-def test_remains_of_a_run_are_not_overwritten(settings: Settings, name: str) -> None:
-    """A learning curve, a policy, or settings of another program."""
-    settings.out.mkdir()
-    (settings.out / name).write_text('{"other": "thing"}')
-    with pytest.raises(ConfigurationError, match="holds a run already"):
-        open_run(settings)
-    assert [file.name for file in settings.out.iterdir()] == [name]
+    assert [file for file in settings.out.rglob("*") if file.is_file()] == [settings.out / name]
     assert (settings.out / name).read_text() == '{"other": "thing"}'
 
 
@@ -69,10 +51,10 @@ def test_an_empty_folder_cannot_be_resumed(settings: Settings) -> None:
 def test_a_resumed_run_without_a_checkpoint_starts_from_the_beginning(settings: Settings) -> None:
     run = open_run(settings)
     run.log(10, {"value": 1.0})
-    with quiet() as said:
+    with quiet() as messages:
         again = open_run(settings, resume=True)
         assert again.restore({"net": constant_network(0.0)}) is None
-    assert "starts from the beginning" in said[0]
+    assert "starts from the beginning" in messages[0]
     assert again.history() == {}
     again.log(10, {"value": 2.0})
     assert again.history() == {"step": [10], "value": [2.0]}
@@ -98,13 +80,6 @@ def test_an_unwritable_folder_is_refused_at_once(
     monkeypatch.setattr(run_module, "write_text", deny)
     with pytest.raises(ConfigurationError, match=r"run' cannot be written to.*denied.*--out"):
         open_run(settings, resume=resume)
-
-
-def test_a_file_instead_of_a_folder_is_refused(settings: Settings) -> None:
-    settings.out.write_text("mine")
-    with pytest.raises(ConfigurationError, match="cannot be written to"):
-        open_run(settings)
-    assert settings.out.read_text() == "mine"
 
 
 def test_a_run_cannot_resume_with_other_settings(settings: Settings) -> None:
@@ -142,11 +117,9 @@ def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> Non
     with pytest.raises(ConfigurationError) as info:
         TrainingRun(settings.out, settings, resume=True, transforms=others)
     message = str(info.value)
-    assert "part 0 was ..." in message
     assert "same 0 here and so on" in message
     assert "same 0 there and so on" in message
     assert "part 4" not in message
-    assert "and 5 more; resume it with its own settings, or start another run" in message
     assert len(message) < 1000
 
 
@@ -161,7 +134,7 @@ def test_pytorch_has_no_more_threads_than_a_container_has_processors(
     settings = SimpleNamespace(resume=True)
     with (
         pytest.raises(ZeroDivisionError),
-        training_loop(run, {"collector": None, "actor": None}, settings),
+        training_loop(run, {"collector": None}, settings),
     ):
         pass
     assert threads == [2]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -15,7 +12,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from aslip.base.provenance import peak_memory
 from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
-from aslip.training.run import TrainingStoppedError, write_text
+from aslip.training.run import TrainingStoppedError
 from benchmarks.common import quiet
 from tests.helpers import full_disk
 from tests.training.run_folder import (
@@ -38,15 +35,15 @@ def test_training_continues_on_a_full_disk(
     run = open_run(settings)
     save_steps(run, 10)
     before = checkpoints(settings)[0].read_bytes()
-    with quiet() as said, run.saving({"net": constant_network(5.0)}, 0.0) as keep:
+    with quiet() as messages, run.checkpointing({"net": constant_network(5.0)}, 0.0) as checkpoint:
         with monkeypatch.context() as patch:
             patch.setattr(run_module, "save_checkpoint", fail_on_full_disk)
-            keep(20, {})
+            checkpoint(20, {})
         assert saved_steps(settings) == [10]
         assert checkpoints(settings)[0].read_bytes() == before
-        keep(30, {})
-    assert ["20 policy steps could not be written" in line for line in said] == [True]
-    assert "No space left on device" in said[0]
+        checkpoint(30, {})
+    assert ["20 policy steps could not be written" in line for line in messages] == [True]
+    assert "No space left on device" in messages[0]
     assert saved_steps(settings) == [10, 30]
 
 
@@ -57,28 +54,15 @@ def test_a_last_checkpoint_that_cannot_be_written_is_an_error(
     save_steps(run, 10)
     monkeypatch.setattr(run_module, "save_checkpoint", fail_on_full_disk)
     stopped = pytest.raises(TrainingStoppedError)
-    with quiet(), stopped as info, run.saving({"net": constant_network(5.0)}, 0.0) as keep:
-        keep(20, {})
+    with (
+        quiet(),
+        stopped as info,
+        run.checkpointing({"net": constant_network(5.0)}, 0.0) as checkpoint,
+    ):
+        checkpoint(20, {})
     assert "the checkpoint of 20 policy steps could not be written" in str(info.value)
-    assert "continues from the checkpoint of 10 steps" in str(info.value)
-
-
-def test_a_partly_written_checkpoint_is_removed(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The disk is full after some of the archive's entries."""
-    run = open_run(settings)
-    save_steps(run, 10)
-    write, left = zipfile.ZipFile.writestr, [2]
-
-    def fill(self: zipfile.ZipFile, *args: Any, **kwargs: Any) -> None:
-        left[0] -= 1
-        fail_on_full_disk() if left[0] < 0 else write(self, *args, **kwargs)
-
-    monkeypatch.setattr(zipfile.ZipFile, "writestr", fill)
-    with quiet(), pytest.raises(TrainingStoppedError):
-        save_steps(run, 20)
-    assert [path.name for path in checkpoints(settings)] == ["checkpoint-000000000010.zip"]
+    assert "saved: " in str(info.value)
+    assert "checkpoint-000000000010.zip" in str(info.value)
 
 
 def test_rows_wait_for_space_on_the_disk(
@@ -87,13 +71,13 @@ def test_rows_wait_for_space_on_the_disk(
     """No checkpoint is written before the rows up to it."""
     run = open_run(settings)
     run.log(10, {"value": 1.0})
-    with quiet() as said, monkeypatch.context() as patch:
+    with quiet() as messages, monkeypatch.context() as patch:
         patch.setattr(Path, "open", fail_on_full_disk)
         run.log(20, {"value": 2.0})
         run.log(30, {"value": 3.0})
         with pytest.raises(TrainingStoppedError):
             save_steps(run, 30)
-    assert ["could not be written" in line for line in said] == [True, True, True]
+    assert ["could not be written" in line for line in messages] == [True, True, True]
     assert saved_steps(settings) == []
     assert run.history()["step"] == [10]
     save_steps(run, 30)
@@ -109,27 +93,15 @@ def test_a_partly_written_row_is_removed(
     run.log(10, {"value": 1.0})
     before = (settings.out / "progress.csv").read_bytes()
     run.close()  # TensorBoard writes in a thread, to which the limit must not apply
-    with quiet() as said, full_disk(len(before) + 3):
+    with quiet() as messages, full_disk(len(before) + 3):
         run.log(20, {"value": 2.0})
-    assert "could not be written" in said[0]
+    assert "could not be written" in messages[0]
     assert (settings.out / "progress.csv").read_bytes() == before
     run.log(30, {"value": 3.0})
     assert run.history()["step"] == [10, 20, 30]
 
 
 # ---------------------------------------------------------------------- csv
-
-
-def test_the_history_equals_the_logged_rows(settings: Settings) -> None:
-    run = open_run(settings)
-    assert run.history() == {}
-    run.log(10, {"value": 1.25, "other": float("nan")})
-    run.log(20, {"value": 1e-9, "other": 3.0})
-    history = run.history()
-    assert history["step"] == [10, 20]
-    assert history["value"] == [1.25, 1e-9]
-    assert math.isnan(history["other"][0])
-    assert history["other"][1] == 3.0
 
 
 def test_a_half_written_row_is_ignored(settings: Settings) -> None:
@@ -200,15 +172,6 @@ def test_tensorboard_points_after_the_checkpoint_are_dropped_on_resume(settings:
     assert [(e.step, e.value) for e in events] == [(10, 10), (20, 20), (30, 30.5), (40, 40.5)]
 
 
-def test_large_step_counts_survive_a_resume(settings: Settings) -> None:
-    run = open_run(settings)
-    run.log(174_999_040, {"value": 1.0})
-    save_steps(run, 174_999_040)
-    again = open_run(settings, resume=True)
-    again.restore({"net": constant_network(0.0)})
-    assert again.history()["step"] == [174_999_040]
-
-
 def test_peak_memory_is_that_of_this_process_alone() -> None:
     """On Linux, getrusage includes the peak of the parent process."""
     burden = bytearray(2**30)
@@ -220,16 +183,3 @@ def test_peak_memory_is_that_of_this_process_alone() -> None:
     shown = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     assert peak_memory() > len(burden) / 2**30
     assert 0.125 < float(shown) < 1.0
-
-
-def test_a_failed_write_keeps_the_old_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "text"
-    write_text(path, "old")
-
-    def fail(*args: object, **kwargs: object) -> None:
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr("os.fsync", fail)
-    with pytest.raises(OSError, match="no space"):
-        write_text(path, "new")
-    assert path.read_text() == "old"

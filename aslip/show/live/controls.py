@@ -54,7 +54,7 @@ class Controls:
         limits: lowest and highest value of each number of a command.
         command: first command.
         policies: names to choose from; the first one is chosen.
-        stands: True for robots that stand on a wish.
+        stands: True for robots that can stand.
     """
 
     def __init__(

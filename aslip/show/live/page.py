@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -21,7 +21,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.live.controls import Click, Controls
 from aslip.show.live.pushes import PUSH_DURATION
-from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status, Turning
+from aslip.show.live.readouts import ROBOT_LABEL, Readouts
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
@@ -89,7 +89,7 @@ class LivePage:
         self._single_steps = 0
         self._error = ""
         self._drawn: TensorDictBase | None = None
-        self._last_status: Status | None = None
+        self._last_status: tuple[list[tuple[str, str, str]], str] | None = None
         self._server = start_server(host, port)
         self._build()
 
@@ -255,39 +255,35 @@ class LivePage:
             self._scene.update(td)
             self._drawn = td
         if self._turns % _TURNS_PER_READOUT == 0:
-            status = self._status()
+            status = self._lines(), self.message
             if status != self._last_status or self._readouts.redrawing:
-                self._readouts.show(status)
+                self._readouts.show(*status)
                 self._last_status = status
         self._turns += 1
 
-    def _status(self) -> Status:
-        body = cast("Mapping[str, torch.Tensor]", self.walker.td["true_odometry"])
-        return Status(
-            time=self.walker.time,
-            speed=float(body["pelvis_velocity"][0, 0]),
-            height=float(body["pelvis_position"][0, 2]),
-            ahead=float(body["pelvis_position"][0, 0]),
-            left=float(body["pelvis_position"][0, 1]),
-            falls=self.falls,
-            factor=None if self.paused else self.factor,
-            message=self.message,
-            turning=self._turning(),
-        )
-
-    def _turning(self) -> Turning | None:
-        """Numbers of walks in all directions."""
-        td = self.walker.td
-        if "filtered_command" not in td:
-            return None
-        off = cast("torch.Tensor", td["true_odometry", "path_error"])[0]
-        return Turning(
-            sideways=float(cast("torch.Tensor", td["true_odometry", "pelvis_velocity"])[0, 1]),
-            yaw_rate=float(cast("torch.Tensor", td["truth", "pelvis_angular_velocity"])[0, 2]),
-            command=numbers(self.walker.command),
-            off_path=float(torch.linalg.vector_norm(off)),
-            mode=WalkMode(int(td["mode"])).name.lower() if "mode" in td else "",
-        )
+    def _lines(self) -> list[tuple[str, str, str]]:
+        """Name, value and remark of each line of numbers."""
+        td: Any = self.walker.td
+        x, y, height = td["true_odometry", "pelvis_position"][0].tolist()
+        forward, sideways, _ = td["true_odometry", "pelvis_velocity"][0].tolist()
+        commands = [f"command {value:z.2f}" for value in numbers(self.walker.command)]
+        factor = "paused" if self.paused else f"real-time factor {self.factor:.2f}"
+        lines = [
+            ("time", f"{self.walker.time:.2f} s", factor),
+            ("forward speed", f"{forward:z.2f} m/s", commands[0]),
+        ]
+        if "filtered_command" in td:
+            yaw_rate = float(td["truth", "pelvis_angular_velocity"][0, 2])
+            off_path = float(torch.linalg.vector_norm(td["true_odometry", "path_error"][0]))
+            mode = WalkMode(int(td["mode"])).name.lower() if "mode" in td else ""
+            lines += [
+                ("sideways speed", f"{sideways:z.2f} m/s", commands[1]),
+                ("yaw rate", f"{yaw_rate:z.2f} rad/s", commands[2]),
+                ("off the path", f"{off_path:.2f} m", mode),
+            ]
+        else:
+            lines.append(("moved", f"{x:z.2f} m ahead", f"{y:z.2f} m left"))
+        return [*lines, ("pelvis height", f"{height:.3f} m", f"{self.falls} falls")]
 
 
 def _fitting_policy(policy: str | Path, walker: Walker) -> TensorDictModuleBase:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import cast
 
 import numpy as np
@@ -47,46 +46,6 @@ _REDRAWS = 12
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
 _TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
-
-
-@dataclass(frozen=True)
-class Turning:
-    """Numbers of a walk in all directions."""
-
-    sideways: float
-    """Speed of the pelvis to the left [m/s]."""
-    yaw_rate: float
-    """Yaw rate of the pelvis [rad/s]."""
-    command: tuple[float, ...]
-    """Commanded forward, sideways speed [m/s] and yaw rate [rad/s]."""
-    off_path: float
-    """Distance of the pelvis from the place that it should have [m]."""
-    mode: str = ""
-    """Mode of a robot that can stand, "walk", "stop", "stand" or "start"; empty for others."""
-
-
-@dataclass(frozen=True)
-class Status:
-    """Numbers of the lines of text."""
-
-    time: float
-    """Time since the last reset [s]."""
-    speed: float
-    """Forward speed of the pelvis [m/s]."""
-    height: float
-    """Height of the pelvis [m]."""
-    ahead: float
-    """Distance ahead since the last reset [m]."""
-    left: float
-    """Distance to the left since the last reset [m]."""
-    falls: int
-    """Falls since the page was opened."""
-    factor: float | None
-    """Real-time factor; None while paused."""
-    message: str
-    """Message to visitors; may be empty."""
-    turning: Turning | None = None
-    """Numbers of a walk in all directions; None in straight walks."""
 
 
 class Readouts:
@@ -138,9 +97,15 @@ class Readouts:
         """Whether redraws of `redraw` are left."""
         return self._redraws > 0
 
-    def show(self, status: Status) -> None:
-        """Update lines, plot and bars; meant for a few calls per second."""
-        self._lines.content = _lines(status, self._mean_speed())
+    def show(self, rows: Sequence[Sequence[str]], message: str) -> None:
+        """Update lines, plot and bars; meant for a few calls per second.
+
+        Args:
+            rows: name, value and remark of each line.
+            message: message to visitors; may be empty.
+        """
+        alarm = f"<div style='min-height:1.5em;font-weight:600;color:{_ALARM_COLOR}'>"
+        self._lines.content = f"{text_table(rows)}{alarm}{html.escape(message)}</div>"
         self._redraws = max(self._redraws - 1, 0)
         if (scales := self._scales()) != self._plot.scales:
             self._plot.scales = scales
@@ -173,41 +138,18 @@ class Readouts:
             },
         }
 
-    def _mean_speed(self) -> float:
-        """Mean speed of the robot over the span of the plot [m/s]; 0 before the first step."""
-        return float(np.mean([speed for _, speed, _ in self._history])) if self._history else 0.0
 
-
-def _lines(status: Status, mean_speed: float) -> str:
-    factor = "paused" if status.factor is None else f"real-time factor {status.factor:.2f}"
-    walk = (
-        ("forward speed", f"{status.speed:z.2f} m/s", f"mean {mean_speed:z.2f} m/s"),
-        ("moved", f"{status.ahead:z.2f} m ahead", f"{status.left:z.2f} m left"),
-    )
-    if (turning := status.turning) is not None:
-        forward, sideways, yaw_rate = (f"command {value:z.2f}" for value in turning.command)
-        walk = (
-            ("forward speed", f"{status.speed:z.2f} m/s", forward),
-            ("sideways speed", f"{turning.sideways:z.2f} m/s", sideways),
-            ("yaw rate", f"{turning.yaw_rate:z.2f} rad/s", yaw_rate),
-            ("off the path", f"{turning.off_path:.2f} m", turning.mode),
+def text_table(rows: Sequence[Sequence[str]]) -> str:
+    """Table of rows of text; the second column is bold, a third one right-aligned."""
+    styles = ("", "font-weight:600", "text-align:right")
+    cells = (
+        "".join(
+            f"<td style='{style}'>{html.escape(cell)}</td>"
+            for cell, style in zip(row, styles, strict=False)
         )
-    entries = (
-        ("time", f"{status.time:.2f} s", factor),
-        *walk,
-        ("pelvis height", f"{status.height:.3f} m", f"{status.falls} falls"),
+        for row in rows
     )
-    rows = "".join(
-        f"<tr><td>{name}</td><td style='font-weight:600'>{value}</td>"
-        f"<td style='text-align:right'>{more}</td></tr>"
-        for name, value, more in entries
-    )
-    return (
-        "<div style='padding:0.4em 0.8em;font-size:0.85em;font-variant-numeric:tabular-nums'>"
-        f"<table style='width:100%'>{rows}</table>"
-        f"<div style='min-height:1.5em;font-weight:600;color:{_ALARM_COLOR}'>"
-        f"{html.escape(status.message)}</div></div>"
-    )
+    return _table("".join(f"<tr>{row}</tr>" for row in cells))
 
 
 def _bars(reward: Mapping[str, float]) -> str:
@@ -220,6 +162,10 @@ def _bars(reward: Mapping[str, float]) -> str:
         f"<td style='width:3em;text-align:right'>{value:.2f}</td></tr>"
         for name, value in reward.items()
     )
+    return _table(rows)
+
+
+def _table(rows: str) -> str:
     return (
         "<div style='padding:0.4em 0.8em;font-size:0.85em;font-variant-numeric:tabular-nums'>"
         f"<table style='width:100%'>{rows}</table></div>"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import queue
 from collections.abc import Iterator, Mapping
 
@@ -12,7 +11,7 @@ from aslip.library.footholds import yaw_rotation
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.live.pushes import PushControls
-from aslip.show.live.readouts import ROBOT_LABEL
+from aslip.show.live.readouts import ROBOT_LABEL, text_table
 from aslip.show.live.scene import RobotScene
 from aslip.show.live.server import guard, page_url, start_server, switch
 
@@ -64,17 +63,9 @@ class RobotPage:
             lines: name of a line -> text.
         """
         self._orientation = qpos[CASSIE.indices.pelvis_orientation]
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td>"
-            f"<td style='font-weight:600'>{html.escape(text)}</td></tr>"
-            for name, text in lines.items()
-        )
         with self._server.atomic():
             self._scene.update(qpos)
-            self._lines.content = (
-                "<div style='padding:0.4em 0.8em;font-size:0.85em;"
-                f"font-variant-numeric:tabular-nums'><table>{rows}</table></div>"
-            )
+            self._lines.content = text_table([*lines.items()])
 
     def forces(self) -> Iterator[np.ndarray]:
         """Forces (3,) of the pushes since the last call, in order [N, world]."""

@@ -24,7 +24,7 @@ from aslip.show.ghost import (
     WIRE_RADIUS,
     Ghost,
 )
-from aslip.show.live.robot import Color, RobotView, cylinder, sphere, to_color, tube
+from aslip.show.live.robot import Color, RobotView, to_color, tube
 from aslip.show.model_place import BESIDE, BESIDE_STEPS, RomPlace
 from aslip.show.render import spring_path
 
@@ -46,15 +46,14 @@ class RomView:
         self._beside = BESIDE if library.command_size == 1 else BESIDE_STEPS
         self._root = scene.add_frame("/world/rom", show_axes=False)
         self._offset, self._turn = np.zeros(3), np.eye(3)
-        self._body = scene.add_mesh_simple(
-            "/world/rom/body", *sphere(BODY_RADIUS), color=to_color(BODY_COLOR)
-        )
+        self._body = scene.add_icosphere("/world/rom/body", BODY_RADIUS, color=to_color(BODY_COLOR))
         self._plans = scene.add_frame("/world/footholds", show_axes=False)
         self._legs = {side: _LegView(scene, f"/world/rom/{side}", side) for side in SIDES}
         self._discs = {
-            side: scene.add_mesh_simple(
+            side: scene.add_cylinder(
                 f"/world/footholds/{side}",
-                *cylinder(_FOOTHOLD_RADIUS, _FOOTHOLD_HALF),
+                _FOOTHOLD_RADIUS,
+                2 * _FOOTHOLD_HALF,
                 color=to_color(LEG_COLORS[side]),
                 visible=False,
             )
@@ -115,14 +114,15 @@ class _LegView:
         self._frame = scene.add_frame(name, show_axes=False)
         self._spring = scene.add_mesh_skinned(
             f"{name}/spring",
-            *spring,
+            spring.vertices,
+            spring.faces,
             bone_wxyzs=np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
             bone_positions=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
             # a linear blend of both ends stretches the mesh
             skin_weights=np.stack([1.0 - along, along], axis=-1),
             color=color,
         )
-        self._foot = scene.add_mesh_simple(f"{name}/foot", *sphere(FOOT_RADIUS), color=color)
+        self._foot = scene.add_icosphere(f"{name}/foot", FOOT_RADIUS, color=color)
 
     def update(self, body: np.ndarray, foot: np.ndarray, stance: bool) -> None:
         """Stretch the leg between two points (3,) [m]."""

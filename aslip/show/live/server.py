@@ -11,9 +11,7 @@ of controls.
 
 from __future__ import annotations
 
-import errno
 import ipaddress
-import logging
 import math
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,8 +26,6 @@ from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
 from aslip.errors import ConfigurationError
-
-_PORTS = 65536
 
 
 def start_server(host: str, port: int) -> viser.ViserServer:
@@ -46,7 +42,6 @@ def start_server(host: str, port: int) -> viser.ViserServer:
         ConfigurationError: the host is not this machine, or the port is taken or not allowed.
     """
     _check_free(host, port)
-    logging.getLogger("websockets.server").addFilter(_without_tracebacks)
     with _own_origin_only(host):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -115,35 +110,15 @@ def is_own_origin(request: Request, host: str) -> bool:
         return False
 
 
-def _without_tracebacks(record: logging.LogRecord) -> bool:
-    """Drop log records of requests other than a browser's, such as HEAD; shorten the others."""
-    if record.exc_info and record.exc_info[1] is not None:
-        record.msg, record.args = f"{record.getMessage()}: {record.exc_info[1]!r}", ()
-        record.exc_info = record.exc_text = None
-    return not record.msg.startswith("opening handshake failed")
-
-
 def _check_free(host: str, port: int) -> None:
-    if not 0 <= port < _PORTS:
-        raise ConfigurationError(f"port must be a number from 0 to {_PORTS - 1}, got {port!r}")
+    if not 0 <= port < 2**16:
+        raise ConfigurationError(f"port must be a number from 0 to 65535, got {port!r}")
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, *_ in found:
+            socket.create_server((host, port), family=family).close()
     except (OSError, UnicodeError) as error:
-        raise ConfigurationError(f"there is no host {host!r}: {error}") from error
-    for family, kind, protocol, _, address in found:
-        with socket.socket(family, kind, protocol) as probe:
-            # as the server does: a port that was just closed counts as free
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind(address)
-            except OSError as error:
-                if error.errno == errno.EADDRINUSE:
-                    raise ConfigurationError(
-                        f"port {port} on {host} is taken; choose another, or 0 for any that is free"
-                    ) from error
-                raise ConfigurationError(
-                    f"cannot listen on port {port} of {host!r}: {error.strerror}"
-                ) from error
+        raise ConfigurationError(f"cannot listen on port {port} of {host!r}: {error}") from error
 
 
 Check = Callable[[object], Any]

@@ -1,6 +1,6 @@
 """Sliders of the command; for policies that walk in all directions also keys and a gamepad.
 
-Robots that stand on a wish have a button for it, which a key and the gamepad press, too.
+Robots that can stand have a button for it, which a key and the gamepad also press.
 
 Keys are those of viser's commands: the browser sends every press, and the simulation takes them
 from a queue. Gamepads are read by a script on the page, which writes the command that they ask for
@@ -98,7 +98,7 @@ class Steering:
         gui: interface of the server, within the panel to fill.
         limits: lowest and highest value of each number of a command.
         command: first command.
-        stands: True for robots that stand on a wish.
+        stands: True for robots that can stand.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Steering:
             help_text = _HELP.replace("STANDING", _STAND_HELP if stands else "")
             gui.add_html(help_text + _image())
         self.stand = gui.add_button(_STAND, icon=viser.Icon.HAND_STOP) if stands else None
-        """Button of the wish to stand; None for robots that cannot."""
+        """Button of the stand command; None for robots that cannot."""
         self._known = "" if self.field is None else self.field.value
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
@@ -158,7 +158,7 @@ class Steering:
         return found
 
     def show_standing(self, stand: bool) -> None:
-        """Label the button with the wish that it leads to."""
+        """Label the button with the command that it gives."""
         if self.stand is not None:
             self.stand.label = _WALK if stand else _STAND
             self.stand.icon = viser.Icon.WALK if stand else viser.Icon.HAND_STOP

@@ -26,19 +26,17 @@ def stances(
     force: np.ndarray,
     period: float,
     *,
-    threshold: float = CONTACT_FORCE,
     contact: float = SHORTEST_CONTACT,
     swing: float = SHORTEST_SWING,
 ) -> np.ndarray:
     """Stances of one foot that begin and end within the record.
 
-    A foot is on the ground while its vertical force exceeds a threshold. Gaps shorter
+    A foot is on the ground while its vertical force exceeds `CONTACT_FORCE`. Gaps shorter
     than a swing are closed first, then contacts shorter than a stance are dropped.
 
     Args:
         force: (m,) vertical ground force [N].
         period: time between samples [s].
-        threshold: force of a foot on the ground [N].
         contact: shortest stance [s].
         swing: shortest time between two stances [s].
 
@@ -50,7 +48,7 @@ def stances(
         ConfigurationError: the period is not positive, or a force not finite.
     """
     force = _checked(force, period)
-    loaded = merge_short(force > threshold, round(swing / period), round(contact / period))
+    loaded = merge_short(force > CONTACT_FORCE, round(swing / period), round(contact / period))
     edges = np.diff(loaded.astype(int))
     begins, ends = np.flatnonzero(edges == 1) + 1, np.flatnonzero(edges == -1) + 1
     # stances that begin before the record or end after it have no known length
@@ -160,13 +158,23 @@ def longest_airborne(force: np.ndarray, period: float, threshold: float = 0.0) -
 
 def _airborne(force: np.ndarray, threshold: float) -> np.ndarray:
     """(m,) true where neither foot has more than a force."""
-    force = np.asarray(force, dtype=np.float64)
-    if force.ndim != 2 or force.shape[1] != 2 or not len(force):
-        raise ShapeError(f"force must be of both feet, (m, 2), got shape {force.shape}")
+    force = both_feet(force)
     if not np.isfinite(force).all():
         row = int(np.flatnonzero(~np.isfinite(force).all(axis=1))[0])
         raise ConfigurationError(f"force must be finite, sample {row} is {force[row]}")
     return np.logical_and(*(force <= threshold).T)
+
+
+def both_feet(force: np.ndarray) -> np.ndarray:
+    """Vertical ground force of both feet as an array (m, 2) of doubles.
+
+    Raises:
+        ShapeError: `force` is not of two feet, or empty.
+    """
+    force = np.asarray(force, dtype=np.float64)
+    if force.ndim != 2 or force.shape[1] != 2 or not len(force):
+        raise ShapeError(f"force must be of both feet, (m, 2), got shape {force.shape}")
+    return force
 
 
 def slip_distance(
@@ -195,11 +203,8 @@ def slip_distance(
         raise ShapeError(f"foot must be ({len(force)}, 3) as the force, got {foot.shape}")
     moved = np.linalg.norm(np.diff(foot[:, :2], axis=0), axis=1)
     moved[(force[1:] <= 0) | (force[:-1] <= 0)] = 0.0
-    return _mean([moved[start : stop - 1].sum() for start, stop in found])
-
-
-def _mean(values: list[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+    paths = [moved[start : stop - 1].sum() for start, stop in found]
+    return float(np.mean(paths)) if paths else float("nan")
 
 
 def _checked(force: np.ndarray, period: float) -> np.ndarray:

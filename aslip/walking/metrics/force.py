@@ -124,15 +124,12 @@ def touchdown_impact(
     return float(np.mean(found) / weight) if found else float("nan")
 
 
-def friction_limit_share(
-    force: np.ndarray, friction: float, threshold: float = CONTACT_FORCE
-) -> float:
+def friction_limit_share(force: np.ndarray, friction: float) -> float:
     """Share of time in which a loaded foot uses more than 95 % of the friction of the floor.
 
     Args:
         force: (m, 2, 3) ground force of both feet [N], z up from a level floor.
         friction: coefficient of sliding friction.
-        threshold: vertical force of a loaded foot [N].
 
     Raises:
         ConfigurationError: the friction is not positive.
@@ -140,7 +137,7 @@ def friction_limit_share(
     if not friction > 0:
         raise ConfigurationError(f"friction must be positive, got {friction}")
     tangential, normal = np.linalg.norm(force[..., :2], axis=-1), force[..., 2]
-    used = (normal > threshold) & (tangential > NEAR_LIMIT * friction * normal)
+    used = (normal > CONTACT_FORCE) & (tangential > NEAR_LIMIT * friction * normal)
     return float(used.any(axis=-1).mean())
 
 

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from aslip.errors import ShapeError
 from aslip.robot.rotation import yaw
+from aslip.walking.metrics.contact import both_feet
+
+# time for which planted feet must carry a force [s]
+_HOLD = 0.5
 
 
-def planting_time(force: np.ndarray, period: float, hold: float = 0.5) -> float:
+def planting_time(force: np.ndarray, period: float) -> float:
     """Time until both feet stay on the ground [s]; NaN if they do not.
 
     Args:
         force: (m, 2) vertical ground force of both feet [N].
         period: time between samples [s].
-        hold: time for which both feet must carry a force from then on [s].
 
     Raises:
         ShapeError: `force` is not of two feet.
     """
-    loaded = _loaded(force)
+    loaded = both_feet(force) > 0
     both = loaded[:, 0] & loaded[:, 1]
-    count = round(hold / period)
+    count = round(_HOLD / period)
     if len(both) < count:
         return float("nan")
     # samples with an unloaded foot, up to each sample
@@ -39,7 +41,7 @@ def lifted_feet(force: np.ndarray) -> int:
     Raises:
         ShapeError: `force` is not of two feet.
     """
-    loaded = _loaded(force)
+    loaded = both_feet(force) > 0
     return int((loaded[:-1] & ~loaded[1:]).sum() + (~loaded[:1]).sum())
 
 
@@ -60,11 +62,3 @@ def turned(orientation: np.ndarray) -> np.ndarray:
     """
     angle = np.unwrap(np.ravel(yaw(orientation)))
     return angle - angle[0]
-
-
-def _loaded(force: np.ndarray) -> np.ndarray:
-    """(m, 2) true where a foot carries a force."""
-    force = np.asarray(force, dtype=np.float64)
-    if force.ndim != 2 or force.shape[1] != 2:
-        raise ShapeError(f"force must be of both feet, (m, 2), got shape {force.shape}")
-    return force > 0

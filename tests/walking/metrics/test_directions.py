@@ -54,7 +54,7 @@ def test_poses_of_a_frame_count_whole_turns() -> None:
     """The frame starts at a heading of 2 rad, and turns past half a turn, where headings wrap."""
     turned = 1.2 * TIME
     heading = np.angle(np.exp(1j * (2.0 + turned)))
-    way = np.outer(TIME, [np.cos(2.0), np.sin(2.0)])  # along the first heading
-    origin = np.column_stack([3.0 + way[:, 0], -1.0 + way[:, 1], 0 * TIME])
+    displacement = np.outer(TIME, [np.cos(2.0), np.sin(2.0)])  # along the first heading
+    origin = np.column_stack([3.0 + displacement[:, 0], -1.0 + displacement[:, 1], 0 * TIME])
     pose = frame_poses(origin[:, None], heading[:, None, None])[:, 0]
     np.testing.assert_allclose(pose, np.column_stack([TIME, 0 * TIME, turned]), atol=1e-12)

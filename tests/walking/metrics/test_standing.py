@@ -32,7 +32,7 @@ def _force(*lifts: tuple[int, int, int]) -> np.ndarray:
 def test_feet_are_planted_once_both_stay_down(
     lifts: list[tuple[int, int, int]], time: float
 ) -> None:
-    found = planting_time(_force(*lifts), PERIOD, hold=0.5)
+    found = planting_time(_force(*lifts), PERIOD)
     np.testing.assert_allclose(found, time, atol=1e-9)
 
 

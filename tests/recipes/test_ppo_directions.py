@@ -16,10 +16,11 @@ from aslip.envs import directions_stack, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.sim import DYNAMICS
-from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES, Difficulty
+from aslip.transforms import COMMAND_RATES, WIDE_RANGES, Difficulty
 from aslip.walking import WalkResult
 from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
+from recipes.ppo_settings import training_settings
 from tests.helpers import TINY
 from tests.library.bent import symmetric_library
 from tests.library.standing import slower_library, standing_library
@@ -75,8 +76,11 @@ def test_the_policys_file_says_how_fast_its_command_may_change(
 
 def test_only_training_has_other_robots_pushes_and_coarse_physics(config: DirectionConfig) -> None:
     stack = directions_stack(symmetric_library())
-    config = replace(config, randomise_share=1.0)
+    config = replace(config, randomise_share=1.0, command_rates=3.0)
     trained = ppo_directions.training_stack(config, stack)
+    fast = tuple(3.0 * rate for rate in COMMAND_RATES)
+    assert stack["command_filter"].rates == COMMAND_RATES  # pyright: ignore[reportAttributeAccessIssue]
+    assert trained["command_filter"].rates == fast  # pyright: ignore[reportAttributeAccessIssue]
     extra = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
     assert set(trained) - set(stack) == extra
     env = aslip.make_env(stack=trained, num_envs=2, num_threads=1, timestep=1e-3, seed=0)
@@ -95,7 +99,7 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     assert env.base_env.model.opt.timestep == 1e-3
     whole = ppo_directions.training_stack(replace(config, ramp=0.0), stack)
     assert "difficulty" not in whole
-    nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
+    nominal = replace(config, ramp=0.0, randomise=False, push_impulse=0.0, privileged=False)
     same = ppo_directions.training_stack(nominal, stack)
     assert [*same] == [*stack]
     assert {name for name in stack if same[name] != stack[name]} == {"command_filter"}
@@ -115,40 +119,21 @@ def test_episodes_of_a_training_have_ever_more_different_robots(config: Directio
     assert td["dynamics", "payload"].max() > 8.0
 
 
-def test_only_training_has_fast_changes_of_the_command(config: DirectionConfig) -> None:
-    stack = directions_stack(symmetric_library())
-    trained = ppo_directions.training_stack(replace(config, command_rates=3.0), stack)
-    fast = tuple(3.0 * rate for rate in COMMAND_RATES)
-    assert stack["command_filter"].rates == COMMAND_RATES  # pyright: ignore[reportAttributeAccessIssue]
-    assert trained["command_filter"].rates == fast  # pyright: ignore[reportAttributeAccessIssue]
-    with pytest.raises(ConfigurationError, match="command_rates"):
-        replace(config, command_rates=0.0)
-
-
-def test_ranges_for_all_directions_contain_the_default_ones_of_loads_and_floors() -> None:
-    for name in ("floor_friction", "slope", "torque_delay", "motor_strength"):
-        (low, high), (wide_low, wide_high) = DYNAMICS_RANGES[name], WIDE_RANGES[name]
-        assert wide_low <= low <= high <= wide_high
-
-
 def test_settings_of_a_run_are_kept_when_it_is_resumed(
     config: DirectionConfig, results: list[WalkResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ["--resume", "--out", str(config.out)]
-    kept = ppo_directions.settings(words)
+    kept = training_settings({"default": DirectionConfig()}, words)
     assert kept.library == config.library
     assert kept.push_interval == 0.03
-    with pytest.raises(ConfigurationError, match="push_impulse must be 0 or more"):
-        replace(config, push_impulse=-1.0)
-    for name in ("command_interval", "stand_interval", "push_interval"):
-        with pytest.raises(ConfigurationError, match=f"{name} must be positive, got -1"):
-            replace(config, **{name: -1.0})
-    with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
-        replace(config, stand=1.5)
-    with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
-        replace(config, ramp=-0.1)
-    with pytest.raises(ConfigurationError, match=r"randomise_share must be from 0 to 1, got 1\.5"):
-        replace(config, randomise_share=1.5)
+    for name, value in {
+        "push_impulse": -1.0,
+        "push_interval": 0.0,
+        "stand": 1.5,
+        "ramp": -0.1,
+    }.items():
+        with pytest.raises(ConfigurationError, match=f"{name} must be .*, got {value}"):
+            replace(config, **{name: value})
 
 
 def test_robots_learn_to_stand_if_the_library_has_stop_and_start(

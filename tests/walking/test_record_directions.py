@@ -67,10 +67,10 @@ def test_substeps_are_recorded_with_a_command_of_all_axes() -> None:
     assert len(found.pelvis_position) == 2 * CASSIE.substeps
     with pytest.raises(ShapeError, match=r"command must be \(m, 3\)"):
         record_substeps(limp(), make(1), command[:, :2])
-    ahead = [
+    forward = [
         record_substeps(limp(), make(1), one) for one in (command[:, 0], command * [1.0, 0, 0])
     ]
-    np.testing.assert_array_equal(ahead[0].pelvis_position, ahead[1].pelvis_position)
+    np.testing.assert_array_equal(forward[0].pelvis_position, forward[1].pelvis_position)
 
 
 def test_evaluation_measures_velocities_along_the_path() -> None:
@@ -79,14 +79,14 @@ def test_evaluation_measures_velocities_along_the_path() -> None:
     env = make()
     request = {"command": torch.tensor(COMMANDS), "phase": torch.zeros(2, 1)}
     td = env.reset(request_of(request))
-    begun, velocities = pelvis_yaw(td), []
+    start_yaw, velocities = pelvis_yaw(td), []
     for _ in range(STEPS):
         td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
         c, s = td["heading"][:, 0].cos(), td["heading"][:, 0].sin()
         x, y, _ = td["truth", "pelvis_velocity"].unbind(-1)
         velocities.append(torch.stack([c * x + s * y, c * y - s * x], dim=-1))
     mean = torch.stack(velocities).mean(0)
-    turn = (pelvis_yaw(td) - begun) / (STEPS * CASSIE.policy_period)
+    turn = (pelvis_yaw(td) - start_yaw) / (STEPS * CASSIE.policy_period)
     for i, result in enumerate(results):
         commanded = (result.speed, result.sideways_speed, result.yaw_rate)
         assert commanded == pytest.approx(COMMANDS[i], abs=1e-6)

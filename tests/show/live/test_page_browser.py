@@ -207,25 +207,6 @@ def test_push_accelerates_the_robot_to_its_left(desk):
     assert desk.speeds(1)[-1] - desk.speeds(1)[count - 1] > 0.5
 
 
-def test_chosen_policy_acts_falls_and_is_reset(desk):
-    falls, before = desk.live.falls, desk.live.walker.policy
-    desk.view.locator("input[role=combobox]:visible").first.click()
-    desk.view.get_by_role("option", name="limp", exact=True).click()
-    wait_for(lambda: desk.live.walker.policy is not before)
-    desk.live.controls.command.value = 1.0
-    desk.view.get_by_text("Cassie has fallen").wait_for()
-    assert desk.live.falls > falls
-    wait_for(lambda: not desk.live.walker.fallen)
-
-
-def test_page_shows_numbers_and_bars(desk):
-    wait_for(lambda: desk.live.walker.steps > 20)
-    desk.pause()
-    text = desk.view.locator("body").inner_text()
-    for part in ("pelvis height", "m ahead", "com_vel", "action_diff", "spring-mass model"):
-        assert part in text, part
-
-
 # shares of dark and of orange pixels of the scene, which has its own canvas beside the plot's;
 # the number of pixels depends on the speed of the machine
 _SHARES = """() => {

@@ -30,7 +30,7 @@ from aslip.envs import (
     insert_before,
     randomise_stack,
 )
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.collectors import LocalCollector
@@ -54,7 +54,6 @@ def _harder(stack: Stack) -> Stack:
 
 
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {
-    "aslip": dict,
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
     "compose": lambda: {"replace": {"noise": Compose(ObservationNoise())}},  # pyright: ignore[reportArgumentType]
@@ -136,18 +135,6 @@ def test_every_part_of_the_state_matters(make: MakeEnv, parts: dict[str, Any]) -
     assert differing(expected, batch_after(parts)) == []
 
 
-def test_a_snapshot_does_not_change(make: MakeEnv) -> None:
-    collector, net = _collector(make), torch.nn.Linear(1, 1)
-    components = {**_components(collector), "net": net}
-    _batches(collector, 1)
-    kept = snapshot(components)
-    before = deepcopy(kept)
-    _batches(collector, 1)
-    torch.nn.init.constant_(net.weight, 3.0)
-    assert identical(kept, before)
-    assert [n for n, state in snapshot(components).items() if identical(state, kept[n])] == []
-
-
 def test_robots_keep_their_dynamics(make: MakeEnv) -> None:
     """Even if an earlier, longer delay has lengthened the memory of commands."""
     given = {"mass": 1.2, "slope": 0.05, "torque_delay": 0.004}
@@ -170,7 +157,7 @@ def test_the_state_of_another_environment_is_refused(make: MakeEnv, parts: dict[
     with pytest.raises(ConfigurationError, match=r"another stack.*noise"):
         state.load_state_dict(parts)
     robots = {**parts["robots"], "dynamics": {}, "states": parts["robots"]["states"][:1]}
-    with pytest.raises(ConfigurationError, match=r"shape \(4, 600\), got \(1, 600\)"):
+    with pytest.raises(ShapeError, match=r"shape \(4, 600\), got \(1, 600\)"):
         CollectorState(_collector(make)).load_state_dict({**parts, "robots": robots})
 
 
@@ -197,12 +184,6 @@ def test_a_state_survives_writing_and_reading(tmp_path: Path) -> None:
     assert type(holder.state["nested"]) is tuple
 
 
-def test_other_types_are_not_written(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="cannot contain a Linear"):
-        save_checkpoint(tmp_path / "file", {"state": {"net": torch.nn.Linear(1, 1)}}, {})
-    assert list(tmp_path.iterdir()) == []
-
-
 # --------------------------------------------------------------------- trainings
 
 
@@ -223,20 +204,8 @@ def test_a_training_killed_at_a_random_time_resumes(
     assert resume_training(config) == undisturbed, f"killed by {entropy} after {before} updates"
 
 
-def _interrupt() -> None:
-    raise KeyboardInterrupt
-
-
-def _terminate() -> None:
-    os.kill(os.getpid(), signal.SIGTERM)
-
-
-@pytest.mark.parametrize("stop", [pytest.param(_interrupt, marks=pytest.mark.slow), _terminate])
 def test_a_training_stopped_during_an_update_resumes(
-    undisturbed: dict[str, Any],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stop: Callable[[], None],
+    undisturbed: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It resumes from the previous update: partly updated networks are discarded."""
     config = replace(TINY, out=tmp_path / "run", checkpoint_minutes=1e6)
@@ -246,17 +215,14 @@ def test_a_training_stopped_during_an_update_resumes(
         losses = update(*args)
         left[0] -= 1
         if left[0] == 0:
-            stop()
+            os.kill(os.getpid(), signal.SIGTERM)
         return losses
 
     with monkeypatch.context() as patch:
         patch.setattr(ppo_aslip, "update", stopped)
-        with pytest.raises((KeyboardInterrupt, SystemExit)) as info:
+        with pytest.raises(SystemExit) as info:
             train(config)
-        if stop is _terminate:
-            assert cast("SystemExit", info.value).code == 128 + signal.SIGTERM
-        else:
-            assert info.type is KeyboardInterrupt
+        assert info.value.code == 128 + signal.SIGTERM
     assert not (config.out / "policy.zip").exists()
     newest = max((config.out / "checkpoints").iterdir())
     assert newest.name == "checkpoint-000000000256.zip"

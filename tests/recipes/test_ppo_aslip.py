@@ -6,23 +6,19 @@ import contextlib
 import csv
 import io
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 from torchrl.record.loggers import CSVLogger
 
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.policy import make_recurrent_actor, policy_stack, read_card
-from aslip.training.progress import Progress
-from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import Walker, WalkResult
 from recipes import ppo_aslip
 from recipes.ppo_settings import scheduled, with_schedule
@@ -56,47 +52,23 @@ def test_a_run_writes_all_its_files(run: Run) -> None:
     assert not list(folder.rglob("*.part"))
     assert (folder.with_name("logs") / "own/scalars/episode_return.csv").exists()
     assert [round(r.speed, 3) for r in results] == [round(0.1 * i, 3) for i in range(21)]
+    assert [row["step"] for row in _rows(folder)] == ["64", "128"]
+    assert policy_stack(folder) == "default"
     for result in results:
         assert 1 <= result.steps <= TINY.eval_steps
         assert 0 < result.total <= result.steps
         assert all(0 <= value <= 1 for value in result.terms.values())
 
 
-def test_progress_has_one_row_per_update(run: Run) -> None:
-    rows = _rows(run[0])
-    assert [row["step"] for row in rows] == ["64", "128"]
-    for row in rows:
-        assert all(row.values())
-        for term in PAPER_WEIGHTS:
-            assert 0 <= float(row[f"term_{term}"]) <= 1
-    assert float(rows[-1]["eval_return"]) > 0
-
-
 def test_messages_name_folder_length_and_how_to_resume(run: Run) -> None:
     folder, _, out = run
     first, second, *_ = out.splitlines()
-    assert first == (
-        f"{folder}: training for 128 policy steps (70, rounded up to updates of 64);"
-        " preset default, seed 0, 8 robots"
-    )
+    assert first == (f"{folder}: training for 128 policy steps; preset default, seed 0, 8 robots")
     assert second == "Ctrl-C saves and stops; to continue: resume=True"
     lines = (folder / "summary.md").read_text().splitlines()
     assert sum(line.startswith("| ") for line in lines) == 23
     assert "of 21 speeds" in "\n".join(lines)
     assert "128 policy steps" in lines[-1]
-
-
-def test_the_policy_of_a_run_can_be_loaded(run: Run) -> None:
-    policy = aslip.load_policy(run[0])
-    assert policy(aslip.make_env(num_threads=1, seed=0).reset())["action"].shape == (1, 10)
-    assert policy_stack(run[0]) == "default"
-
-
-def test_another_run_in_the_same_folder_is_refused(run: Run) -> None:
-    with pytest.raises(ConfigurationError, match="holds a run already"):
-        ppo_aslip.main(replace(TINY, out=run[0]))
-    with pytest.raises(ConfigurationError, match="seed was 0 and is 1"):
-        ppo_aslip.main(replace(TINY, out=run[0], resume=True, seed=1))
 
 
 def test_runs_with_the_same_seed_are_equal_with_or_without_evaluations(
@@ -151,30 +123,6 @@ def test_schedules_decay_exponentially_at_the_end() -> None:
     assert with_schedule(replace(TINY, total_steps=3000), kept).schedule_steps == 2000
 
 
-def test_the_bar_moves_at_each_policy_step_without_changing_actions() -> None:
-    actor, progress = torch.nn.Linear(2, 2), Progress(64, 24)
-    plain = [actor(torch.ones(2)) for _ in range(6)]
-    data = TensorDict(next=TensorDict(truth=TensorDict(diverged=torch.tensor([[True], [False]]))))
-    outputs: list[torch.Tensor] = []
-
-    def batches() -> Iterator[Any]:
-        for _ in range(2):
-            outputs.extend(actor(torch.ones(2)) for _ in range(3))
-            yield data
-
-    shown = []
-    with progress:
-        for _ in progress.watch(batches(), cast("Any", actor), robots=8):
-            assert progress._bar is not None
-            shown.append(progress._bar.n)
-            actor(torch.ones(2))  # evaluations do not move the bar
-            progress.step += 24
-    assert shown == [24, 48]
-    assert progress.total == 72
-    assert progress.state()["divergences"] == 2
-    torch.testing.assert_close(torch.stack(outputs), torch.stack(plain), rtol=0, atol=0)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -182,12 +130,7 @@ def test_the_bar_moves_at_each_policy_step_without_changing_actions() -> None:
         ({"samples": 100}, "samples must be a multiple of num_envs = 8, got 100"),
         ({"gamma": 1.5}, "gamma"),
         ({"checkpoint_minutes": -1.0}, "checkpoint_minutes must be 0 or more"),
-        ({"seed": -1}, r"seed must be from 0 to 2\*\*63 - 1, got -1"),
-        ({"num_envs": 8.0}, r"num_envs must be an integer, got 8\.0"),
-        ({"learning_rate": float("nan")}, "learning_rate must be a finite number, got nan"),
-        ({"symmetric": 1}, "symmetric must be True or False, got 1"),
-        ({"device": 0}, "device must be a str, got 0"),
-        ({"out": "runs"}, "out must be a Path, got 'runs'"),
+        ({"seed": -1}, "seed must be from 0 to .*, got -1"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str) -> None:

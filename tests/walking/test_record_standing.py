@@ -1,4 +1,4 @@
-"""Recording and interactive walks of robots that stand on a wish."""
+"""Recording and interactive walks of robots that can stand."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def make(library: GaitLibrary, num_envs: int = 1, **settings: object) -> StackEn
     )  # fmt: skip
 
 
-def test_recorded_robots_stand_when_they_are_told(library: GaitLibrary) -> None:
-    """And walk by default, though the stack draws wishes at resets and within episodes."""
+def test_recorded_robots_stand_on_command(library: GaitLibrary) -> None:
+    """And walk by default, though the stack draws stand commands at resets and within episodes."""
     env = make(library, 2, replace={"stand": StandCommand(1.0, 0.03)})
     command = np.zeros((6, 2, 3))
     stand = np.array([[1, 1]] * 3 + [[0, 1]] * 3)
     keys: list[NestedKey] = [("next", "mode"), ("next", "stand")]
-    told = record(limp(), env, command, keys, stand=stand)
-    modes = np.asarray(told["next", "mode"])[..., 0]
+    recorded = record(limp(), env, command, keys, stand=stand)
+    modes = np.asarray(recorded["next", "mode"])[..., 0]
     assert (modes[:3] == WalkMode.STAND).all()
     assert (modes[3:, 0] == WalkMode.START).all()
     assert (modes[3:, 1] == WalkMode.STAND).all()
@@ -54,7 +54,7 @@ def test_recorded_robots_stand_when_they_are_told(library: GaitLibrary) -> None:
     ] * 2
 
 
-def test_walker_stands_on_a_wish(library: GaitLibrary) -> None:
+def test_walker_stands_on_command(library: GaitLibrary) -> None:
     walker = Walker(limp(), make(library), library=library)
     assert walker.can_stand
     assert not walker.stand
@@ -70,26 +70,12 @@ def test_walker_stands_on_a_wish(library: GaitLibrary) -> None:
     assert not walker.stand
 
 
-def test_robots_of_other_stacks_cannot_stand() -> None:
-    walker = Walker("straight", seed=0)
-    walker.stand = False
-    assert not walker.can_stand
-    with pytest.raises(ConfigurationError, match="policy of the stack 'standing'"):
-        walker.stand = True
-    with pytest.raises(ConfigurationError, match="standing_stack"):
-        walker.reset(stand=True)
-
-
-def test_evaluations_and_substeps_take_wishes(library: GaitLibrary) -> None:
-    env = make(library, 2)
-    results = evaluate(limp(), env, [[0.3, 0.0, 0.4]] * 2, 3, stand=[True, False])
-    assert results[0].mean_speed < 0.05 < results[1].mean_speed
-    assert abs(results[0].mean_yaw_rate) < 0.05
+def test_substeps_take_stand_commands(library: GaitLibrary) -> None:
     walk = record_substeps(limp(), make(library), np.zeros((2, 3)), np.ones(2))
     assert np.ptp(walk.pelvis_position, axis=0).max() < 0.01
 
 
-def test_wishes_need_a_stack_that_stands() -> None:
+def test_stand_commands_need_a_stack_that_stands() -> None:
     env = aslip.make_env(num_threads=1, drop=EPISODE_ENDS, seed=0)
     record_walks(limp(), env, np.zeros((2, 1)), np.zeros((2, 1)))
     with pytest.raises(ConfigurationError, match="standing_stack"):
