@@ -10,7 +10,7 @@ policy's file, walks at all speeds and the other benchmarks. Walks and benchmark
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aslip.base.assets import UserPaths
@@ -67,10 +67,11 @@ from aslip.training.environments import make_evaluation_env
 from aslip.training.run import write_text
 from aslip.transforms import ActionDelta
 from aslip.walking import evaluate, walk_table
-from benchmarks.flags import SWEEPS
 from benchmarks.paper import foot_placement, step_frequency, velocity_tracking
 from benchmarks.robustness import pushes, walking_quality
+from benchmarks.robustness.parameters import SWEEPS
 from benchmarks.scorecard import direction_targets
+from benchmarks.scorecard.record import describe
 
 _LEFT = "---"
 # flags of the training command that do not affect the policy
@@ -234,15 +235,14 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     """Targets of walks in all directions, tables of their benchmarks, and the limits."""
     out = config.out / config.name
     settings = direction_targets.Config(policy=(policy,), out=out)
-    record = config.record and direction_targets.open_record(settings, config.record)
-    if record:
-        record.check(policy)
+    record = direction_targets.open_record(replace(settings, record=config.record))
+    record.check([policy])
     rows = direction_targets.main(settings)
-    if record and policy not in record:
+    if not record.holds(policy):
         none = {"mean": math.nan, "low": math.nan, "high": math.nan}
-        found = {row["name"]: row["found"]["interval"] or none for row in rows}
+        found = {row["name"]: row["found"]["policy"]["interval"] or none for row in rows}
         record.add(policy, {name: Interval.of_row(one) for name, one in found.items()})
-    folder = direction_targets.results_folder(out, policy)
+    folder = out / describe(policy)["name"]
     titles = {
         "Velocity": "tracking",
         "Sudden changes of the command": "command_changes",

@@ -12,11 +12,11 @@ and ends, and the jump takes a policy step.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
+from benchmarks.flags import check_numbers
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check number and factor."""
-        if not 0 < self.faster < math.inf:
-            raise ConfigurationError(f"faster must be positive and finite, got {self.faster}")
-        if self.changes < 1:
-            raise ConfigurationError(f"changes must be 1 or more, got {self.changes}")
+        check_numbers(self, "faster", changes=1)
 
 
 if __name__ == "__main__":

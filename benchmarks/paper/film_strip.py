@@ -18,6 +18,7 @@ from pathlib import Path
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import check_numbers
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,7 @@ class Config(UserPaths):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        if self.frames < 1:
-            raise ConfigurationError(f"frames must be 1 or more, got {self.frames}")
+        check_numbers(self, frames=1)
         if not 0 <= self.settle <= 10:
             raise ConfigurationError(f"settle must be 0 to 10 s, got {self.settle}")
 

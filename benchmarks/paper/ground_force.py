@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
-from aslip.errors import one_line_errors
+from aslip.errors import ConfigurationError, one_line_errors
 from benchmarks.flags import Compared
 
 
@@ -27,6 +27,10 @@ class Config(Compared):
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded speeds [m/s]."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 8.0
+    """Duration of the measurement [s]."""
 
 
 if __name__ == "__main__":
@@ -37,6 +41,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from itertools import chain
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -48,6 +53,7 @@ from tqdm import tqdm
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
 from aslip.library.footholds import touchdown_phases
+from aslip.policy import policy_library
 from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.walking import Walker
@@ -55,13 +61,12 @@ from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
 from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
 from benchmarks.common import (
-    MakeEnv,
+    Policies,
     Policy,
+    Report,
     Subject,
-    check_straight,
-    load_subjects,
+    benchmark,
     nearest_gait,
-    write_report,
 )
 
 METHODS: Final = MappingProxyType(
@@ -74,8 +79,6 @@ VERTICAL: Final = (-4, -1)
 
 _COLORS = {"policy": "tab:red", "paper": "tab:green", "baseline": "tab:blue"}
 
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
 # smallest number of stances of a foot with which a robot counts as stepping
 _LEAST_STANCES = 3
@@ -91,25 +94,19 @@ class Curve:
     """(k,) standard deviation over strides [N]."""
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each method and speed.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each method, policy and speed.
 
     Raises:
         ConfigurationError: a policy follows gaits in all directions.
     """
-    check_straight([*(config.policy if policy is None else [policy]), *config.paper])
+    check_straight([*([policies.given] if policies.given else config.policy), *config.paper])
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
     kinds = {
-        "policy": load_subjects(config, policy, make_env),
+        "policy": policies.load(),
         "paper": [*map(Subject.load, config.paper)],
         "baseline": [*map(Subject.load, config.baseline)],
     }
@@ -124,9 +121,21 @@ def main(
     for speed in config.speeds:
         gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
-    figure = picture(config, curves, library)
-    write_report(config, policy, "ground_force", {"rows": rows}, table(rows), figure)
-    return rows
+    return Report(rows, table(rows), picture(config, curves, library))
+
+
+def check_straight(policies: Sequence[Policy]) -> None:
+    """Check that policies follow the paper's gaits, straight ahead; modules count as such.
+
+    Raises:
+        ConfigurationError: one follows gaits in all directions.
+    """
+    for policy in policies:
+        if isinstance(policy, str | Path) and policy_library(policy) == "directions":
+            raise ConfigurationError(
+                f"the benchmark is about the paper's gaits, straight ahead, and {str(policy)!r}"
+                " follows gaits in all directions; --policy straight is measured by default"
+            )
 
 
 def profile(force: np.ndarray | None) -> dict[str, Any]:
@@ -152,11 +161,11 @@ def vertical_forces(
     with closing(subject.walking_env(config, 1, num_threads=1)) as env:
         walker = Walker(subject.policy, env, library=library, speed=speed)
         env.base_env.watch(0)
-        while walker.time < _SETTLE + _WALK - CASSIE.policy_period / 2:
+        while walker.time < config.settle + config.walk - CASSIE.policy_period / 2:
             walker.step()
             if walker.fallen:
                 return None
-            if walker.time > _SETTLE:
+            if walker.time > config.settle:
                 parts.append(env.base_env.watched[:, VERTICAL].copy())
     assert len(parts[0]) == CASSIE.substeps
     return np.concatenate(parts)

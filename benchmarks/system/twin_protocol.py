@@ -1,8 +1,8 @@
-"""Tests of the network protocol: packets, damaged datagrams, lockstep, cost of ticks, losses.
+"""Tests of the network protocol: packets, damaged datagrams, lockstep, cost of ticks.
 
     python -m benchmarks.system.twin_protocol  # minutes on an idle core
     python -m benchmarks.system.twin_protocol --packets 1000 --strings 1000 --duration 1
-    python -m benchmarks.system.twin_protocol --packets 0 --strings 0 --duration 0  # cost, losses
+    python -m benchmarks.system.twin_protocol --packets 0 --strings 0 --duration 0  # cost of ticks
 
 Random packets of each kind, of any bits, are unpacked and packed: bytes must be the same, each
 field must hold the bytes at its offset, and one packet in a thousand is compared number by number
@@ -11,8 +11,8 @@ counted. In the walk in lockstep, a controller receives only the states of the t
 loopback, and a second controller the sensor packets of a simulation in this process; targets and
 states must be bit-equal.
 
-The cost of a tick is the CPU time of the twin's thread, with both datagrams. Behind a relay that
-drops and delays datagrams, a client in real time counts the answers that reach it in order.
+The cost of a tick is the CPU time of the twin's thread, with both datagrams. Lost and late
+datagrams are in `benchmarks.system.runner`.
 """
 
 from __future__ import annotations
@@ -37,29 +37,18 @@ class Config:
     """Commanded speed of the walk [m/s]."""
     ticks: int = 6000
     """Number of ticks in lockstep whose CPU time is measured, in each mode."""
-    lossy: float = 10.0
-    """Duration behind a relay that loses and delays datagrams [s]."""
-    loss: float = 0.2
-    """Share of datagrams that the relay drops."""
-    jitter: float = 0.01
-    """Largest delay of a datagram in the relay [s]; delays are uniform from zero."""
     seed: int = 0
-    """Seed of the random bytes and of the relay."""
+    """Seed of the random bytes."""
 
 
 if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
-import heapq
 import re
-import select
-import socket
 import struct
-import threading
 import time
 from dataclasses import replace
-from types import TracebackType
 from typing import cast
 
 import numpy as np
@@ -70,7 +59,7 @@ from aslip.base.tables import markdown
 from aslip.control import Controller
 from aslip.envs import BatchEnv
 from aslip.library import GaitLibrary
-from aslip.network.twin import RealTimeServer, TwinRobot, serve_lockstep
+from aslip.network.twin import TwinRobot, serve_lockstep
 from aslip.network.wire import (
     LOOPBACK,
     PACKETS,
@@ -108,7 +97,6 @@ def main(config: Config) -> None:
     for raw in (False, True):
         mode = "raw" if raw else "PD"
         print(f"tick in {mode} mode: {1e3 * tick_cost(config.ticks, raw=raw):.3f} ms of CPU")
-    print(lossy_network(config))
 
 
 def wrong_packets(packet: Packet, config: Config, rng: np.random.Generator) -> int:
@@ -206,115 +194,6 @@ def tick_cost(ticks: int, *, raw: bool) -> float:
             client.wait()
             client.receive()
     return busy / max(ticks, 1)
-
-
-def lossy_network(config: Config) -> str:
-    """Hold a twin in real time by a client behind a lossy relay; return the result as text."""
-    twin, ended = TwinRobot(), threading.Event()
-    hold = command_to_pd_in(CASSIE.standing[CASSIE.indices.motor_qpos])
-    with (
-        robot_endpoint(twin) as endpoint,
-        LossyRelay(endpoint.local, config.loss, config.jitter, config.seed) as relay,
-        client_endpoint(twin, relay.address) as client,
-    ):
-        server = RealTimeServer(twin, endpoint)
-        thread = threading.Thread(target=server.run, args=(ended.is_set,))
-        thread.start()
-        end = time.monotonic() + config.lossy
-        heard, longest = time.monotonic(), 0.0
-        while (now := time.monotonic()) < end:
-            client.send(hold)
-            if client.receive() is not None:
-                longest, heard = max(longest, now - heard), now
-            time.sleep(CASSIE.packet_period)
-        ended.set()
-        thread.join()
-    counts, ticks = client.link.counters, max(server.load.ticks, 1)
-    return (
-        f"loss of {config.loss:.0%}, delays up to {1e3 * config.jitter:g} ms, {ticks} ticks:"
-        f" {counts.accepted / ticks:.0%} of the answers in order, {counts.late / ticks:.0%} late,"
-        f" {counts.restarts} restarts, longest gap {1e3 * longest:.0f} ms,"
-        f" {server.load.silences} silences of the client; {server.load}"
-    )
-
-
-class LossyRelay:
-    """UDP relay on loopback that drops, delays and so reorders datagrams of both directions.
-
-    Datagrams from the robot go to the client that has sent last.
-
-    Args:
-        robot: address of the robot.
-        loss: share of datagrams that are dropped.
-        jitter: largest delay [s]; delays are uniform from zero.
-        seed: seed of drops and delays.
-    """
-
-    def __init__(
-        self, robot: Address, loss: float = 0.2, jitter: float = 0.01, seed: int = 0
-    ) -> None:
-        self.dropped = 0
-        """Number of datagrams dropped so far."""
-        self._robot, self._client = robot, None
-        self._loss, self._jitter, self._rng = loss, jitter, np.random.default_rng(seed)
-        self._front, self._back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in "fb")
-        for side in (self._front, self._back):
-            side.setblocking(False)
-            side.bind((LOOPBACK, 0))
-        self._queue: list[tuple[float, int, bool, bytes]] = []
-        self._taken = 0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
-
-    @property
-    def address(self) -> Address:
-        """Address to which a client sends instead of the robot's."""
-        return Address(*self._front.getsockname())
-
-    def __enter__(self) -> LossyRelay:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._front.close()
-        self._back.close()
-
-    def _run(self) -> None:
-        while not self._ended.is_set():
-            due = self._queue[0][0] - time.monotonic() if self._queue else 0.05
-            ready, _, _ = select.select([self._front, self._back], [], [], max(due, 0.0))
-            for side in ready:
-                self._take(side)
-            while self._queue and self._queue[0][0] <= time.monotonic():
-                _, _, to_robot, datagram = heapq.heappop(self._queue)
-                if to_robot:
-                    self._back.sendto(datagram, self._robot)
-                elif self._client is not None:
-                    self._front.sendto(datagram, self._client)
-
-    def _take(self, side: socket.socket) -> None:
-        """Drop or delay the datagrams that have arrived at a side."""
-        while True:
-            try:
-                datagram, sender = side.recvfrom(2048)
-            except BlockingIOError:
-                return
-            if side is self._front:
-                self._client = sender
-            lost, delay = self._rng.random(2)
-            self._taken += 1
-            if lost < self._loss:
-                self.dropped += 1
-                continue
-            due = time.monotonic() + delay * self._jitter
-            heapq.heappush(self._queue, (due, self._taken, side is self._front, datagram))
 
 
 def robot_endpoint(twin: TwinRobot) -> Endpoint:

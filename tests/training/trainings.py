@@ -13,7 +13,7 @@ from typing import Any
 
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.progress import read_progress
-from benchmarks.common import Holder, quiet
+from benchmarks.common import quiet
 from recipes import ppo_aslip
 from tests.helpers import TINY as TWO_UPDATES
 
@@ -22,6 +22,21 @@ TINY = replace(TWO_UPDATES, total_steps=512, eval_interval=400)
 
 PATIENCE = 120.0
 """Duration without progress after which a training counts as hung [s]."""
+
+
+class Holder:
+    """Checkpoint component that accepts any state."""
+
+    def __init__(self, state: Any = None) -> None:
+        self.state = state
+
+    def state_dict(self) -> Any:
+        """Loaded state."""
+        return self.state
+
+    def load_state_dict(self, state: Any) -> None:
+        """Keep a state."""
+        self.state = state
 
 
 def train(config: ppo_aslip.Config, **parts: Any) -> dict[str, Any]:

@@ -1,58 +1,11 @@
-"""Sentences of the paper's results and targets of this project, with the limits that judge them."""
+"""Sentences of the paper's results, and targets of walks straight ahead, with their limits."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import Final
 
 from aslip.walking import TRACKING_TOLERANCE
-
-
-@dataclass(frozen=True)
-class Claim:
-    """Sentence or target, the quantity that is measured for it, and the limit of its value."""
-
-    name: str
-    """Name in tables and in the record."""
-    measure: str
-    """Quantity that is measured, with its unit, and its difference from the paper's quantity."""
-    sentence: str = ""
-    """Sentence of the paper with its section; empty for a target of this project."""
-    published: str = ""
-    """Value in the paper or its figures; empty without one."""
-    released: str = ""
-    """Values of the policies that the paper's authors released; empty without any."""
-    at_least: float = -math.inf
-    """Smallest value that meets the claim."""
-    at_most: float = math.inf
-    """Largest value that meets the claim."""
-    strict: bool = False
-    """True if the limit itself does not meet the claim."""
-    every_seed: bool = False
-    """True if each seed has to meet the limit, in place of the interval over seeds."""
-    ours: bool = True
-    """True if the limit is this project's, False if it is the paper's number."""
-    fed_forward: bool = False
-    """True if the default settings feed the quantity forward: an input there, not a result."""
-    on_baseline: bool = False
-    """True for a sentence about the single-reference baseline."""
-    digits: int = 2
-    """Digits of the value in tables."""
-
-    @property
-    def limit(self) -> str:
-        """Limit as text."""
-        if math.isfinite(self.at_least):
-            return f"{'>' if self.strict else '≥'} {self.at_least:g}"
-        return f"{'<' if self.strict else '≤'} {self.at_most:g}"
-
-    def is_met(self, value: float) -> bool:
-        """Whether a value is within the limit."""
-        if self.strict:
-            return self.at_least < value < self.at_most
-        return self.at_least <= value <= self.at_most
-
+from benchmarks.scorecard.verdicts import Claim
 
 SENTENCES: Final = (
     Claim(

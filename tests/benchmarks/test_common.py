@@ -1,10 +1,13 @@
-"""Benchmarks of custom policies and environments: memory, histories, rewards with a state."""
+"""Policies, environments and reports of benchmarks: shipped ones, and those of users."""
 
 from __future__ import annotations
 
+import json
+import math
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,13 +19,15 @@ from torchrl.envs.transforms import CatFrames, Transform
 
 import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
+from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
 from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from benchmarks.common import Common, Subject
-from benchmarks.flags import SWEEPS
-from benchmarks.paper import foot_placement, ground_force, step_frequency, velocity_tracking
+from benchmarks.common import Common, Subject, table, write_results
+from benchmarks.flags import check_numbers
+from benchmarks.paper import foot_placement, ground_force
 from benchmarks.robustness import pushes, walking_quality
+from benchmarks.robustness.parameters import SWEEPS
 from benchmarks.system import estimator, logs
 
 
@@ -68,34 +73,12 @@ POLICIES = own_policies()
 every_policy = pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
 
 
-@pytest.fixture(autouse=True)
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (
-        foot_placement,
-        ground_force,
-        step_frequency,
-        velocity_tracking,
-        walking_quality,
-    ):
-        monkeypatch.setattr(module, "_SETTLE", 0.15)
-        monkeypatch.setattr(module, "_WALK", 0.3)
-    for name in ("_HOLD", "_BEFORE", "_AFTER"):
-        monkeypatch.setattr(velocity_tracking, name, 0.15)
-    monkeypatch.setattr(velocity_tracking, "_TRANSIENT", 0.03)
-    monkeypatch.setattr(logs, "_EPISODE", 20)
-    monkeypatch.setattr(estimator, "_AGES", ((0, 1), (1, 10)))
-
-
-def test_benchmarks_accept_custom_policy_and_environment(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_benchmarks_accept_custom_policy_and_environment(tmp_path: Path) -> None:
     """From Python, with a module and `make_env`; reports name the policy by its class."""
     of: Any = (POLICIES["gru"], make_own_env)
-    few: dict[str, Any] = {"out": tmp_path, "speeds": (0.5,)}
+    few: dict[str, Any] = {"out": tmp_path, "speeds": (0.5,), "settle": 0.15, "walk": 0.3}
     (placement,) = foot_placement.main(foot_placement.Config(**few), *of)[0.5]
     assert placement.offset.shape[1] == 2
-    assert step_frequency.main(step_frequency.Config(**few), *of)[0]["speed"] == 0.5
-    assert len(velocity_tracking.main(velocity_tracking.Config(**few), *of)["steps"]) == 6
     rows = ground_force.main(ground_force.Config(**few), *of)
     assert rows[0]["policy"] == "ProbabilisticActor"
     assert walking_quality.main(walking_quality.Config(**few), *of)[0]["power"]["mean"] > 0
@@ -105,9 +88,10 @@ def test_benchmarks_accept_custom_policy_and_environment(
         directions=1, phases=1, repeats=1, bisections=1, settle=0.06, after=0.06, episode=0.3,
     )  # fmt: skip
     assert pushes.main(config, *of)["sweeps"][0]["trials"] == 1
-    small = {"steps": 2, "repeats": 1, "falls": 2, "num_envs": 2, "rounds": 1, "out": tmp_path}
+    small = {"steps": 2, "repeats": 1, "falls": 2, "ages": (0, 1, 10), "out": tmp_path}
     estimator.main(estimator.Config(**small), *of)
-    assert "estimator and noise" in capsys.readouterr().out
+    about = json.loads((tmp_path / "pushes.json").read_text())
+    assert about["policies"] == ["ProbabilisticActor"]
 
 
 def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
@@ -130,7 +114,7 @@ def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
 @every_policy
 def test_logs_of_custom_environment_replay(policy: TensorDictModuleBase, tmp_path: Path) -> None:
     subject = Subject.load(policy, make_own_env)
-    config = logs.Config(replays=1, report=tmp_path / "report.json")
+    config = logs.Config(replays=1, steps=20, report=tmp_path / "report.json")
     assert logs.replays(config, subject, tmp_path)["equal"] == 1
 
 
@@ -142,3 +126,24 @@ def test_recurrent_policy_gets_is_init_and_keeps_state() -> None:
     assert not td["memory"][0, 0].any()
     torch.testing.assert_close(td["memory"][0, 1:], td["next", "memory"][0, :-1])
     assert td["memory"][0, 4].any()
+
+
+def test_results_are_valid_json_with_nan(tmp_path: Path) -> None:
+    write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
+    text = (tmp_path / "mine.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == {"rows": [{"a": None, "b": [1.0, None]}]}
+
+
+def test_a_table_has_a_column_for_each_format_or_function() -> None:
+    columns = {"speed": "{speed:.1f}", "share": lambda row: f"{100 * row['share']:g} %"}
+    text = table(columns, [{"speed": 0.5, "share": 0.25}])
+    assert text == "| speed | share |\n| ---: | ---: |\n| 0.5 | 25 % |"
+
+
+def test_settings_are_checked_by_name() -> None:
+    for settings, message in (
+        ({"walks": -1, "speed": 1.0}, "walks must be 0 or more, got -1"),
+        ({"walks": 0, "speed": math.inf}, "speed must be positive, got inf"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            check_numbers(SimpleNamespace(**settings), "speed", walks=0)

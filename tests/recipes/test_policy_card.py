@@ -188,7 +188,8 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
             (folder / f"{name}.md").write_text(f"table of {name}")
         (folder / "pushes.json").write_text(json.dumps(limits))
         (config.out / "direction_targets.md").write_text("table of targets")
-        return [{"name": "drift", "found": {"interval": {"mean": 0.5, "low": 0.4, "high": 0.6}}}]
+        interval = {"mean": 0.5, "low": 0.4, "high": 0.6}
+        return [{"name": "drift", "found": {"policy": {"interval": interval}}}]
 
     monkeypatch.setattr(policy_card.direction_targets, "main", measured)
     made = {"transforms": {"training/dynamics": "RandomDynamics()"}}

@@ -1,140 +1,21 @@
-"""Recipes and benchmarks run from start to end on small settings."""
+"""Learning curves: reports of runs, their record, and trainings that are started."""
+
+from __future__ import annotations
 
 import json
-import math
-import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from torchrl.envs import ParallelEnv, SerialEnv
 
-from aslip import GaitLibrary
-from aslip.base.assets import asset_path
-from aslip.errors import (
-    ConfigurationError,
-    FileDamagedError,
-    SpeedOutOfRangeError,
-    one_line_errors,
-)
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.progress import steps_done
-from benchmarks.gaits import solve
-from benchmarks.paper import film_strip
 from benchmarks.scorecard import learning_curves
-from benchmarks.system import estimator, export_speed, logs, throughput
-from recipes import gait_library, ppo_aslip
 from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import PRESETS, training_settings
-from tests.helpers import TINY
-
-
-@pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
-def test_user_errors_are_one_line(kind: type[Exception]) -> None:
-    with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():
-        raise kind("no such thing")
-    with pytest.raises(ZeroDivisionError), one_line_errors():
-        raise ZeroDivisionError
-
-
-def test_every_script_uses_one_line_errors() -> None:
-    root = Path(__file__).parents[2]
-    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).rglob("*.py")]
-    programs = [text for text in scripts if "if __name__ ==" in text]
-    assert len(programs) >= 20
-    assert all("with one_line_errors():" in text for text in programs)
-
-
-def test_builds_library_of_other_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = gait_library.Config(
-        out=tmp_path / "mine.npz", speeds=(0.5, 0.75), samples=32, pictures=tmp_path
-    )
-    gait_library.main(config)
-    library = GaitLibrary.load(tmp_path / "mine.npz")
-    assert library.speeds.tolist() == [0.5, 0.75]
-    assert library.made_by["command"].startswith("python recipes/")
-    for picture in ("gait.png", "gaits.png"):
-        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
-    table = capsys.readouterr().out
-    assert "KKT" in table
-    assert " 0.8025 " in table
-
-
-def test_refuses_to_replace_shipped_library() -> None:
-    with pytest.raises(ConfigurationError, match=r"give another file with --out"):
-        gait_library.Config(speeds=(0.5, 1.0))
-
-
-def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
-    config = gait_library.Config(out=tmp_path / "mine.npz", speeds=(0.5, 9.0), pictures=tmp_path)
-    with pytest.raises(SpeedOutOfRangeError, match="9"):
-        gait_library.main(config)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("parallel", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
-def test_throughput_reports_every_candidate(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, parallel: type
-) -> None:
-    """In the fast tests without other processes."""
-    monkeypatch.setattr(throughput, "ParallelEnv", parallel)
-    config = throughput.Config(
-        num_envs=(1, 2), num_threads=(1,), rounds=1, robot_steps=1, single=1, updates=False
-    )
-    throughput.main(config)
-    rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 1", "| 2")]
-    assert len(rows) == 9 + 7
-    assert all(row.endswith("% |") for row in rows)
-
-
-@pytest.mark.slow
-def test_draws_gaits_in_several_directions(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = solve.Config(commands=((0.5, 0.2, 0.3),), picture=tmp_path / "paths.png")
-    (gait,) = solve.main(config)
-    assert gait.command.tolist() == [0.5, 0.2, 0.3]
-    assert config.picture.read_bytes().startswith(b"\x89PNG")
-    assert "| 0.5, 0.2, 0.3 |" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_throughput_reports_learning_and_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ppo_aslip, "PRESETS", {"default": TINY})
-    config = throughput.Config(num_envs=(2,), rounds=2)
-    row = throughput.update_table(config).splitlines()[-1]
-    assert row.startswith("| default | 64 | ")
-    *_, share, copied, saved, _ = row.split("|")
-    assert 0 < float(share.strip(" %")) < 100
-    assert math.isfinite(float(copied))
-    assert math.isfinite(float(saved))
-    assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
-
-
-def test_estimator_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(estimator, "_AGES", ((0, 1), (1, 4), (4, 20)))
-    config = estimator.Config(
-        steps=12,
-        repeats=1,
-        falls=2,
-        num_envs=2,
-        rounds=1,
-        out=tmp_path,
-    )
-    estimator.main(config)
-    printed = capsys.readouterr().out
-    assert [line[:7] for line in printed.splitlines() if line[2:3] in "012"][:5] == [
-        f"| {speed:.1f} |" for speed in (0.0, 0.5, 1.0, 1.5, 2.0)
-    ]
-    assert "estimator and noise" in printed
-    numbers = json.loads((tmp_path / "estimator.json").read_text())
-    assert all(max(row["velocity"]) < 0.3 for row in numbers["walks"])
-    assert sum(row["samples"] for row in numbers["recovery"]) > 0
-    assert (tmp_path / "estimator.png").read_bytes().startswith(b"\x89PNG")
 
 
 def curves_of(folder: Path, walks_at: int, steps: int = 600, seed: int = 0) -> None:
@@ -268,16 +149,10 @@ def test_walks_in_all_directions_have_their_own_recipe(
     path.write_text(json.dumps({**settings, "randomise_share": 1.0}, default=str))
     with pytest.raises(ConfigurationError, match=r"not 'directions' with seed 0.*randomise_share"):
         learning_curves.main(config)
-    # the same library elsewhere, another one, and none
-    same = shutil.copy(asset_path("directions.npz"), tmp_path / "same.npz")
-    path.write_text(json.dumps({**settings, "library": same}, default=str))
-    learning_curves.main(config)
-    for other in ("gaits", "built/elsewhere.npz"):
-        path.write_text(json.dumps({**settings, "library": other}, default=str))
-        with pytest.raises(ConfigurationError, match=rf"with seed 0.*{other}"):
-            learning_curves.main(config)
     path.write_text(json.dumps({**settings, "schedule_steps": 90_000}, default=str))
-    with pytest.raises(ConfigurationError, match="ends after 90000 policy steps, not after 600000"):
+    with pytest.raises(
+        ConfigurationError, match=r"'schedule_steps': 90000.*'schedule_steps': 600000"
+    ):
         learning_curves.main(config)
     commands: list[list[str]] = []
     monkeypatch.setattr(
@@ -340,31 +215,6 @@ def test_error_names_damaged_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_black_box_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(logs, "_EPISODE", 40)
-    config = logs.Config(rounds=1, kills=1, cuts=4, replays=1, report=tmp_path / "black_box.json")
-    logs.main(config)
-    printed = capsys.readouterr().out
-    assert "| joints at 2 kHz |" in printed
-    numbers = json.loads((tmp_path / "black_box.json").read_text())
-    assert numbers["kills"]["failures"] == 0
-    assert numbers["cuts"]["wrong"] == 0
-    assert numbers["replays"]["equal"] == 1
-    assert numbers["overhead"]["physics_bytes"] > numbers["overhead"]["policy_bytes"]
-
-
-@pytest.mark.usefixtures("pictures")
-def test_a_film_strip_is_drawn(tmp_path: Path) -> None:
-    small = {"frames": 2, "settle": 0.0, "width": 80, "height": 100}
-    for reference in (False, True):
-        out = tmp_path / f"{reference}.png"
-        film_strip.main(film_strip.Config(out=out, reference=reference, **small))
-        assert out.read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.slow
 def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
     settings = {"out": tmp_path, "seeds": (0,), "schedule_steps": 8192, "jobs": 2}
     settings["picture"] = tmp_path / "curves.png"
@@ -372,11 +222,3 @@ def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
         for variant in ("truth", "default"):
             assert steps_done(tmp_path / f"{variant}-0") == steps
-
-
-@pytest.mark.slow
-def test_exported_policies_start_lighter_than_pytorch(capsys: pytest.CaptureFixture[str]) -> None:
-    export_speed.main(export_speed.Config(starts=1, steps=10))
-    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
-    memory = {row[1].strip(): float(row[3]) for row in rows[2:]}
-    assert memory["ONNX"] < memory["PyTorch"] / 2

@@ -11,8 +11,9 @@ import pytest
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps
-from benchmarks.robustness import walking_quality
+from benchmarks.common import Policies, table
 from benchmarks.robustness.walking_quality import (
+    COLUMNS,
     QUANTITIES,
     Config,
     load_methods,
@@ -20,7 +21,6 @@ from benchmarks.robustness.walking_quality import (
     model_rows,
     quantities,
     summary,
-    table,
 )
 
 WEIGHT, SECOND = 320.0, 2000
@@ -59,12 +59,10 @@ def test_quantities_of_made_up_walk() -> None:
     assert in_place["power"] == pytest.approx(100.0)
 
 
-def test_report_of_a_policy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(walking_quality, "_SETTLE", 0.5)
-    monkeypatch.setattr(walking_quality, "_WALK", 1.6)
-    rows = main(Config(policy=("mine=straight",), speeds=(0.5,), out=tmp_path))
+def test_report_of_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = main(
+        Config(policy=("mine=straight",), speeds=(0.5,), settle=0.5, walk=1.6, out=tmp_path)
+    )
     robot, model = rows
     assert (robot["method"], robot["walked"], robot["seeds"]) == ("mine", 1, 1)
     assert 0 < robot["airborne"]["mean"] <= robot["unloaded"]["mean"] < 0.5
@@ -79,7 +77,7 @@ def test_report_of_a_policy(
 
 def test_policies_of_one_name_are_seeds_of_a_method() -> None:
     config = Config(policy=("default=straight", "paper=robust", "default=robust", "straight"))
-    methods = load_methods(config)
+    methods = load_methods(config, Policies(config))
     names = {method: [subject.name for subject in ones] for method, ones in methods.items()}
     assert names == {
         "default": ["straight", "robust"],
@@ -98,10 +96,10 @@ def test_several_seeds_have_mean_and_interval_and_falls_are_counted() -> None:
     half = 12.706 * 0.1
     expected = {"mean": 0.2, "low": 0.2 - half, "high": 0.2 + half}
     assert row["airborne"] == pytest.approx(expected, rel=1e-4)
-    assert "| m | 1.0 | 20.0 [-107.1, 147.1] |" in table([row])
-    assert table([row]).endswith("| 2 of 3 |")
+    assert "| m | 1.0 | 20.0 [-107.1, 147.1] |" in table(COLUMNS, [row])
+    assert table(COLUMNS, [row]).endswith("| 2 of 3 |")
     fell = summary("m", 1.0, [None])
-    assert table([fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  |  | 0 of 1 |")
+    assert table(COLUMNS, [fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  |  | 0 of 1 |")
 
 
 def test_model_carries_little_in_mid_stance() -> None:
