@@ -19,6 +19,7 @@ import io
 import json
 import logging
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -52,6 +53,9 @@ Policy = TensorDictModuleBase | str | Path
 
 MakeEnv = Callable[..., StackEnv]
 """Function that makes an environment, with the keywords of `aslip.make_env`."""
+
+# a method's name before its policy
+_NAMED = re.compile(r"([\w '.,-]+)=(.+)")
 
 Columns = Mapping[str, str | Callable[[Any], str]]
 """Columns of a table: header -> format of a row's fields, or function from a row to a cell."""
@@ -165,6 +169,18 @@ class Policies:
         policies = self.config.policy if self.given is None else [self.given]
         library = chosen_library(self.config)
         return [Subject.load(one, self.make_env or make_env, library) for one in policies]
+
+    def methods(self) -> dict[str, list[Subject]]:
+        """Load the seeds of each method: `method=policy`, or policies that are methods each."""
+        if self.given is not None:
+            return {self.names[0]: self.load()}
+        methods: dict[str, list[Subject]] = {}
+        for text in self.config.policy:
+            named = _NAMED.fullmatch(text)
+            name, path = named.groups() if named else (text, text)
+            subject = Subject.load(path, self.make_env, chosen_library(self.config))
+            methods.setdefault(name, []).append(subject)
+        return methods
 
 
 def chosen_library(config: Common) -> GaitLibrary | None:

@@ -32,22 +32,6 @@ class Common(UserPaths):
 
 
 @dataclass(frozen=True)
-class Compared(Common):
-    """Flags of benchmarks that compare policies with the paper's settings and its baseline."""
-
-    paper: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py paper`."""
-    baseline: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py single-reference`."""
-
-    def __post_init__(self) -> None:
-        """Check that there is a policy of any kind."""
-        UserPaths.__post_init__(self)  # not that of `Common`, which needs `policy`
-        if not (self.policy or self.paper or self.baseline):
-            raise ConfigurationError("name at least one policy")
-
-
-@dataclass(frozen=True)
 class WithLibrary(Common):
     """Flags of benchmarks of policies that may walk in all directions."""
 

@@ -2,7 +2,6 @@
 
     python -m benchmarks.paper.foot_placement                  # the policy `straight`
     python -m benchmarks.paper.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.paper.foot_placement --log walk.mcap  # a log at one speed
 
 At each speed, consecutive footsteps of the settled walk are measured. The ideal position of each
 is the other foot's actual position plus the step of the reduced-order model. The position of a
@@ -16,12 +15,11 @@ precise; both stand beside the measured errors.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
 from benchmarks.flags import WithLibrary
 
 PUBLISHED: Final = MappingProxyType(
@@ -51,8 +49,6 @@ class Config(WithLibrary):
 
     speeds: tuple[float, ...] = tuple(PUBLISHED)
     """Commanded speeds [m/s]."""
-    log: Path | None = None
-    """Log of a walk at one commanded speed, to measure instead of a policy."""
     settle: float = 4.0
     """Duration of settling [s]."""
     walk: float = 12.0
@@ -73,9 +69,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.base.interval import Interval
-from aslip.library import Command, GaitLibrary
+from aslip.library import Command
 from aslip.library.footholds import Footholds
-from aslip.log import read
 from aslip.robot import CASSIE, SIDES
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement, footsteps, placement
@@ -84,11 +79,9 @@ from benchmarks.common import (
     Report,
     benchmark,
     constant_walks,
-    load_library,
     shortest_swing,
     table,
 )
-from benchmarks.paper.logged import logged_walk
 
 Placements = dict[float, list[Placement]]
 """Commanded speed [m/s] -> placements of all policies."""
@@ -110,64 +103,17 @@ COLUMNS = {
 
 @benchmark
 def main(config: Config, policies: Policies) -> Report[Placements]:
-    """Measure and draw; the result is the placements of all policies at each speed.
-
-    Raises:
-        ConfigurationError: the log has several commanded speeds, is of a walk that is not straight
-            ahead, is too short, or its robot followed other gaits.
-    """
-    source: dict[str, Any] = {}
-    if config.log is not None:
-        source = {"policies": [], "log": str(config.log)}
-        found = logged_placements(config, config.log)
-    else:
-        subjects = policies.load()
-        footholds = Footholds(subjects[0].library)
-        walks = constant_walks(config, subjects, config.speeds, config.settle + config.walk)
-        found = {
-            speed: [walk_placement(config, walk, i, speed, footholds) for walk in walks]
-            for i, speed in enumerate(config.speeds)
-        }
+    """Measure and draw; the result is the placements of all policies at each speed."""
+    subjects = policies.load()
+    footholds = Footholds(subjects[0].library)
+    walks = constant_walks(config, subjects, config.speeds, config.settle + config.walk)
+    found = {
+        speed: [walk_placement(config, walk, i, speed, footholds) for walk in walks]
+        for i, speed in enumerate(config.speeds)
+    }
     rows = [numbers(speed, placements) for speed, placements in found.items()]
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
-    return Report(found, table(COLUMNS, rows), figure, {**source, "rows": rows})
-
-
-def logged_placements(config: Config, log: Path) -> Placements:
-    """Placements of a logged walk; see `main`."""
-    walk = logged_walk(log)
-    speeds = np.unique(walk.speed)
-    if len(speeds) != 1:
-        raise ConfigurationError(
-            f"{str(log)!r} has {len(speeds)} commanded speeds, the benchmark needs one:"
-            " record with recipes/walk.py --command 1.0"
-        )
-    speed, footholds = float(speeds[0]), Footholds(_logged_library(config, log, walk))
-    found = walk_placement(config, walk, 0, speed, footholds)
-    if not len(found.error):
-        raise ConfigurationError(
-            f"{str(log)!r} lasts {len(walk.speed) * CASSIE.policy_period:.1f} s, and footsteps"
-            f" count after {config.settle:g} s; record {config.settle + config.walk:g} s"
-        )
-    return {speed: [found]}
-
-
-def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
-    """Gaits that a logged robot followed.
-
-    Raises:
-        ConfigurationError: the log tells that it followed others.
-    """
-    named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
-    library = load_library(named)
-    followed = read(log).metadata.get("gaits_sha256") or library.sha256
-    # the paper's baseline has a library of its own
-    if followed not in (library.sha256, load_library("single_reference").sha256):
-        raise ConfigurationError(
-            f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
-            f" {named!r} have {library.sha256[:12]}; give their file with --library"
-        )
-    return library
+    return Report(found, table(COLUMNS, rows), figure, {"rows": rows})
 
 
 def walk_placement(
@@ -205,11 +151,6 @@ def walk_placement(
 def numbers(speed: float, every: Sequence[Placement]) -> dict[str, Any]:
     """Row of the report for one speed, over the policies without a fall."""
     placements = without_falls(every)
-    sides = {
-        f"{side}_{axis}": _mean(np.mean, [p.offset[p.side == i, k] for p in placements])
-        for i, side in enumerate(SIDES)
-        for k, axis in enumerate("xy")
-    }
     return {
         "speed": speed,
         **vars(Interval.of([p.error for p in placements])),
@@ -222,7 +163,6 @@ def numbers(speed: float, every: Sequence[Placement]) -> dict[str, Any]:
         "policies": len(every),
         "published": published_error(speed),
         "released": released_errors(speed),
-        **sides,
     }
 
 

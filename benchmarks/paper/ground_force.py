@@ -1,8 +1,9 @@
 """Vertical ground force over a stride: robot, reduced-order model and baseline.
 
     python -m benchmarks.paper.ground_force  # the policy `straight`
-    python -m benchmarks.paper.ground_force --paper runs/paper0 --baseline runs/baseline0
+    python -m benchmarks.paper.ground_force --policy ASLIP=runs/default-{1,2} baseline=runs/b-1
 
+Each policy is a method of its own; `name=` before several policies makes them seeds of one method.
 The paper's figure has 0, 1 and 2 m/s. Forces are sampled by the physics at 2 kHz. Spring-mass
 walking has two humps per stance; walking at a constant body height has one. The dip ratio is the
 lowest force between the humps over the peak of the lower hump, after two passes of a 30 ms moving
@@ -18,11 +19,11 @@ from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import Compared
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
-class Config(Compared):
+class Config(Common):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
@@ -41,8 +42,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from itertools import chain
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -53,7 +52,6 @@ from tqdm import tqdm
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
 from aslip.library.footholds import touchdown_phases
-from aslip.policy import policy_library
 from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.walking import Walker
@@ -62,22 +60,14 @@ from aslip.walking.metrics.contact import stances
 from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
 from benchmarks.common import (
     Policies,
-    Policy,
     Report,
     Subject,
     benchmark,
     nearest_gait,
 )
 
-METHODS: Final = MappingProxyType(
-    {"policy": "ASLIP", "paper": "ASLIP, paper's settings", "baseline": "single reference"}
-)
-"""Kind of policies, as a setting of `Config` -> its method in tables and pictures."""
-
 VERTICAL: Final = (-4, -1)
 """Columns of both feet's vertical force in `watched`."""
-
-_COLORS = {"policy": "tab:red", "paper": "tab:green", "baseline": "tab:blue"}
 
 _SAMPLES = 200
 # smallest number of stances of a foot with which a robot counts as stepping
@@ -101,18 +91,12 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     Raises:
         ConfigurationError: a policy follows gaits in all directions.
     """
-    check_straight([*([policies.given] if policies.given else config.policy), *config.paper])
+    methods = policies.methods()
+    check_straight([subject for subjects in methods.values() for subject in subjects])
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
-    kinds = {
-        "policy": policies.load(),
-        "paper": [*map(Subject.load, config.paper)],
-        "baseline": [*map(Subject.load, config.baseline)],
-    }
-    runs = [
-        (METHODS[k], one, v) for k, ones in kinds.items() for one in ones for v in config.speeds
-    ]
+    runs = [(name, one, v) for name, ones in methods.items() for one in ones for v in config.speeds]
     for method, subject, speed in tqdm(runs, unit="walk", leave=False):
         force = vertical_forces(config, library, subject, speed)
         rows.append({"method": method, "policy": subject.name, "speed": speed, **profile(force)})
@@ -124,16 +108,16 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     return Report(rows, table(rows), picture(config, curves, library))
 
 
-def check_straight(policies: Sequence[Policy]) -> None:
+def check_straight(subjects: Sequence[Subject]) -> None:
     """Check that policies follow the paper's gaits, straight ahead; modules count as such.
 
     Raises:
         ConfigurationError: one follows gaits in all directions.
     """
-    for policy in policies:
-        if isinstance(policy, str | Path) and policy_library(policy) == "directions":
+    for subject in subjects:
+        if subject.library.command_size > 1:
             raise ConfigurationError(
-                f"the benchmark is about the paper's gaits, straight ahead, and {str(policy)!r}"
+                f"the benchmark is about the paper's gaits, straight ahead, and {subject.name!r}"
                 " follows gaits in all directions; --policy straight is measured by default"
             )
 
@@ -250,8 +234,8 @@ def picture(
         gait = nearest_gait(library, speed)
         model = model_force(gait)
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
-        for kind, method in METHODS.items():
-            color = _COLORS[kind]
+        for k, method in enumerate(dict.fromkeys(method for method, _ in curves)):
+            color = f"C{k}"
             found = curves.get((method, speed), ())
             for i, one in enumerate(found):
                 style: dict[str, Any] = {} if len(found) == 1 else {"lw": 0.8, "alpha": 0.7}

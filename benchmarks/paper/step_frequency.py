@@ -78,7 +78,6 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
                 "model": model,
                 **vars(frequency),
                 "off": frequency.mean / model - 1,
-                "each": [f / model - 1 for f, _ in found],
                 "duty": float(np.mean([duty for _, duty in found])),
             }
         )

@@ -2,7 +2,6 @@
 
     python -m benchmarks.paper.velocity_tracking                  # the policy `straight`
     python -m benchmarks.paper.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.paper.velocity_tracking --log walk.mcap  # a logged walk
 
 The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s. A map compares mean and commanded
 speed. A table lists the responses to steps of 1 m/s.
@@ -11,7 +10,6 @@ speed. A table lists the responses to steps of 1 m/s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from aslip.base.command_line import command_line
 from aslip.errors import one_line_errors
@@ -24,8 +22,6 @@ class Config(WithLibrary):
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds of the map [m/s]."""
-    log: Path | None = None
-    """Log of a walk through a schedule, to measure instead of policies."""
     hold: float = 4.0
     """Time for which the schedule, and each side of a step, holds a command [s]."""
     transient: float = 1.5
@@ -69,7 +65,6 @@ from benchmarks.common import (
     record_subject,
     table,
 )
-from benchmarks.paper.logged import logged_walk
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
 """Commanded speeds of the schedule [m/s]."""
@@ -125,30 +120,19 @@ STEP_COLUMNS = {
 
 @benchmark
 def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
-    """Measure and draw; the result is the numbers.
-
-    Raises:
-        ConfigurationError: the log is of a walk that is not straight ahead.
-    """
-    if config.log is not None:
-        walks, mapped = [logged_walk(config.log)], []
-        numbers: dict[str, Any] = {"policies": [], "log": str(config.log)}
-        numbers["schedule"] = schedule_rows(config, walks)
-        text = table(SCHEDULE_COLUMNS, numbers["schedule"])
-    else:
-        subjects = policies.load()
-        command = np.repeat(SCHEDULE, round(config.hold / CASSIE.policy_period))[:, None]
-        walks = [record_subject(config, subject, command) for subject in subjects]
-        mapped = map_rows(config, subjects)
-        numbers = {
-            "schedule": schedule_rows(config, walks),
-            "map": mapped,
-            "steps": step_rows(config, subjects, Footholds(subjects[0].library)),
-            "spike": spike_numbers(walks),
-        }
-        columns = {"schedule": SCHEDULE_COLUMNS, "map": MAP_COLUMNS, "steps": STEP_COLUMNS}
-        text = "\n\n".join(table(of, numbers[name]) for name, of in columns.items())
-    return Report(numbers, text, picture(walks[0], mapped, len(walks)), numbers)
+    """Measure and draw; the result is the numbers."""
+    subjects = policies.load()
+    command = np.repeat(SCHEDULE, round(config.hold / CASSIE.policy_period))[:, None]
+    walks = [record_subject(config, subject, command) for subject in subjects]
+    numbers = {
+        "schedule": schedule_rows(config, walks),
+        "map": map_rows(config, subjects),
+        "steps": step_rows(config, subjects, Footholds(subjects[0].library)),
+        "spike": spike_numbers(walks),
+    }
+    columns = {"schedule": SCHEDULE_COLUMNS, "map": MAP_COLUMNS, "steps": STEP_COLUMNS}
+    text = "\n\n".join(table(of, numbers[name]) for name, of in columns.items())
+    return Report(numbers, text, picture(walks[0], numbers["map"], len(walks)), numbers)
 
 
 # --------------------------------------------------------------------- schedule
@@ -183,8 +167,7 @@ def schedule_rows(config: Config, walks: list[Walks]) -> list[dict[str, float]]:
 def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
     """Mean range of speed around the model's touchdowns over walks, robot and model [m/s]."""
     each = [walk_spikes(walk) for walk in walks]
-    means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
-    return {**means, "each": each}
+    return {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
 
 
 def walk_spikes(walk: Walks) -> dict[str, float]:
@@ -218,7 +201,6 @@ def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
             {
                 "command": speed,
                 **vars(Interval.of([np.array([mean]) for mean in each])),
-                "each": each,
                 "sideways": float(drift),
                 "survived": [bool(walk.survived[i]) for walk in walks],
                 # false for NaN after a fall
@@ -254,10 +236,6 @@ def step_rows(
                 "settling": float(np.mean([r.settling_time for r in responses])),
                 "overshoot": float(np.mean([r.overshoot for r in responses])),
                 "steady_error": float(np.mean([r.steady_error for r in responses])),
-                "each": {
-                    "settling": [r.settling_time for r in responses],
-                    "steady_error": [r.steady_error for r in responses],
-                },
             }
         )
     return rows
@@ -278,7 +256,7 @@ def walk_step_response(walk: Walks, index: int, change: int, footholds: Foothold
 def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
     """Speed of the first policy through the schedule; mean over commanded speed of all."""
     figure = Figure(figsize=(11, 4), layout="constrained")
-    parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
+    parts = figure.subplots(1, 2, width_ratios=(2, 1))
     time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
     robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
     parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
@@ -289,16 +267,13 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     parts[0].step(time, walk.speed[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
     parts[0].legend(loc="upper right", fontsize=8)
-    if mapped:
-        commanded = [row["command"] for row in mapped]
-        parts[1].plot(commanded, commanded, "k--", label="command")
-        means = np.array([row["mean"] for row in mapped])
-        spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
-        parts[1].errorbar(
-            commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean"
-        )
-        parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
-        parts[1].legend()
+    commanded = [row["command"] for row in mapped]
+    parts[1].plot(commanded, commanded, "k--", label="command")
+    means = np.array([row["mean"] for row in mapped])
+    spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
+    parts[1].errorbar(commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean")
+    parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
+    parts[1].legend()
     for part in parts:
         part.grid(alpha=0.3)
     return figure

@@ -15,7 +15,6 @@ the share of time in which each foot carries less than 20 N.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
@@ -74,7 +73,6 @@ from benchmarks.common import (
     Report,
     Subject,
     benchmark,
-    chosen_library,
     nearest_gait,
     shortest_swing,
     table,
@@ -83,8 +81,6 @@ from benchmarks.paper.ground_force import model_force
 
 _FRICTION = 1.0  # of the model's floor
 _MODEL = "spring-mass model"
-# a method's name before its policy
-_NAMED = re.compile(r"([\w .-]+)=(.+)")
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ COLUMNS = {
 @benchmark
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each method and speed."""
-    methods = load_methods(config, policies)
+    methods = policies.methods()
     library = next(iter(methods.values()))[0].library
     footholds = Footholds(library)
     runs = [(name, one, v) for name, ones in methods.items() for v in config.speeds for one in ones]
@@ -154,19 +150,6 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     )
     rows += model_rows(library, config.speeds) if modelled else []
     return Report(rows, table(COLUMNS, rows), figure)
-
-
-def load_methods(config: Config, policies: Policies) -> dict[str, list[Subject]]:
-    """Seeds of each method, from `method=policy` or from policies that are methods of their own."""
-    if policies.given is not None:
-        return {policies.names[0]: policies.load()}
-    methods: dict[str, list[Subject]] = {}
-    for text in config.policy:
-        named = _NAMED.fullmatch(text)
-        name, path = named.groups() if named else (text, text)
-        subject = Subject.load(path, policies.make_env, chosen_library(config))
-        methods.setdefault(name, []).append(subject)
-    return methods
 
 
 # ---------------------------------------------------------------------- measurement

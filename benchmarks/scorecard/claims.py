@@ -20,13 +20,17 @@ from pathlib import Path
 
 from aslip.base.command_line import command_line
 from aslip.errors import one_line_errors
-from benchmarks.flags import Compared
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
-class Config(Compared):
+class Config(Common):
     """Settings of the benchmark."""
 
+    paper: tuple[str, ...] = ()
+    """Policies of `ppo_aslip.py paper`."""
+    baseline: tuple[str, ...] = ()
+    """Policies of `ppo_aslip.py single-reference`."""
     record: Path | None = None
     """File with the values of each policy; its policies count, too."""
 
@@ -38,7 +42,7 @@ if __name__ == "__main__":
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.common import Policies, Policy, Report, benchmark, table
+from benchmarks.common import Policies, Policy, Report, Subject, benchmark, table
 from benchmarks.paper.ground_force import check_straight
 from benchmarks.scorecard.paper_list import SENTENCES, TARGETS
 from benchmarks.scorecard.paper_values import measure
@@ -59,7 +63,7 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Rows]]:
     kinds: dict[str, list[Policy]] = {kind: [*getattr(config, kind)] for kind in KINDS}
     if policies.given is not None:
         kinds["policy"] = [policies.given]
-    check_straight([one for ones in kinds.values() for one in ones])
+    check_straight([Subject.load(one) for ones in kinds.values() for one in ones])
     settings = {"truth": config.truth, "seed": config.seed}
     record = ValueRecord(config.record, settings, [*SENTENCES, *TARGETS])
     made = {"policy": policies.make_env}

@@ -59,12 +59,12 @@ from aslip.envs import StackEnv
 from aslip.estimation import StateEstimator
 from benchmarks.common import MakeEnv, Policy, Subject, table, write_results
 from benchmarks.system.estimate_errors import (
+    WALK_COLUMNS,
     array,
     packets,
     picture,
     record_estimates,
     walk_rows,
-    walk_table,
 )
 
 
@@ -82,7 +82,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
     ages = recovery(config, subject)
     seconds = packet_time(config, subject)
     cost = f"One packet of one robot: {1e6 * seconds:.0f} us"
-    text = "\n\n".join([walk_table(rows), table(RECOVERY_COLUMNS, ages), cost])
+    text = "\n\n".join([table(WALK_COLUMNS, rows), table(RECOVERY_COLUMNS, ages), cost])
     numbers = {"policy": subject.name, "seed": config.seed, "walks": rows, "recovery": ages}
     figure = picture(walks, config.repeats)
     write_results(config.out, "estimator", {**numbers, "packet": seconds}, text, figure)

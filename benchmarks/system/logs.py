@@ -1,11 +1,10 @@
-"""Walk logs: overhead, size, killed writers and replay.
+"""Walk logs: overhead, size and killed writers.
 
     python -m benchmarks.system.logs                       # everything
-    python -m benchmarks.system.logs --rounds 5 --kills 0 --replays 0
+    python -m benchmarks.system.logs --rounds 5 --kills 0
 
 One robot walks with and without a recorder. Both take the same steps in turn, in small portions, so
-that other load on the machine affects both alike. Processes are then killed while they write a log,
-and walks are replayed.
+that other load on the machine affects both alike. Processes are then killed while they write a log.
 """
 
 from __future__ import annotations
@@ -28,8 +27,6 @@ class Config(UserPaths):
     """Policy steps of a walk; the paper's episodes have 400."""
     kills: int = 50
     """Number of processes killed while they write a log."""
-    replays: int = 20
-    """Number of walks replayed, with random commands and pushes."""
     policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it."""
     seed: int = 0
@@ -49,7 +46,7 @@ import signal
 import statistics
 import tempfile
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -58,7 +55,7 @@ from tqdm import trange
 
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
-from aslip.log import JointRate, Recorder, read, recover, replay
+from aslip.log import JointRate, Recorder, recover, replay
 from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.walking import Walker
@@ -87,8 +84,6 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
             numbers["overhead"] = overhead(config, subject, folder)
         if config.kills:
             numbers["kills"] = kills(config, subject, folder)
-        if config.replays:
-            numbers["replays"] = replays(config, subject, folder)
     config.report.parent.mkdir(parents=True, exist_ok=True)
     write_text(config.report, json.dumps(numbers, indent=1) + "\n")
 
@@ -199,38 +194,6 @@ def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
     while True:
         walker.step()
         reports.send(walker.steps)
-
-
-# ---------------------------------------------------------------------- replays
-
-
-def replays(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
-    """Replay walks with random commands and pushes, from the start and from the middle."""
-    rng = np.random.default_rng(config.seed)
-    equal, states, falls = 0, 0, 0
-    for i in trange(config.replays, unit="walk", leave=False):
-        path = folder / f"replay-{i}.mcap"
-        walker = make_walker(subject, path, seed=i)
-        with closing(walker.env):
-            for step in range(config.steps):
-                if step % 50 == 0:
-                    walker.command = float(rng.uniform(0, 2))
-                if rng.random() < 0.02:
-                    walker.push(rng.normal(0, 60, 3).tolist(), float(rng.uniform(0.03, 0.2)))
-                walker.step()
-                if walker.fallen:
-                    falls += 1
-                    walker.reset()
-        recording = read(path, ["/step", "/state", "/dynamics"])
-        middle = float(recording["/state"].time[-1]) / 2
-        results = [replay(recording, start) for start in (0.0, middle)]
-        equal += all(result.equal for result in results)
-        states += sum(result.compared for result in results)
-    print(
-        f"\nreplayed {equal} of {config.replays} walks bit for bit, from the start and from the"
-        f" middle; {states} states compared, {falls} falls included"
-    )
-    return {"walks": config.replays, "equal": equal, "states": states, "falls": falls}
 
 
 if __name__ == "__main__":

@@ -23,12 +23,12 @@ from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
 from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from benchmarks.common import Common, Subject, table, write_results
+from benchmarks.common import Common, Policies, Subject, table, write_results
 from benchmarks.flags import check_numbers
 from benchmarks.paper import foot_placement, ground_force
 from benchmarks.robustness import pushes, walking_quality
 from benchmarks.robustness.parameters import SWEEPS
-from benchmarks.system import estimator, logs
+from benchmarks.system import estimator
 
 
 class AirTime(Transform):
@@ -70,7 +70,6 @@ def own_policies() -> dict[str, TensorDictModuleBase]:
 
 
 POLICIES = own_policies()
-every_policy = pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
 
 
 def test_benchmarks_accept_custom_policy_and_environment(tmp_path: Path) -> None:
@@ -111,11 +110,15 @@ def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
             assert weights == [dict.fromkeys(PAPER_WEIGHTS, 0.1)]
 
 
-@every_policy
-def test_logs_of_custom_environment_replay(policy: TensorDictModuleBase, tmp_path: Path) -> None:
-    subject = Subject.load(policy, make_own_env)
-    config = logs.Config(replays=1, steps=20, report=tmp_path / "report.json")
-    assert logs.replays(config, subject, tmp_path)["equal"] == 1
+def test_policies_of_one_name_are_seeds_of_a_method() -> None:
+    config = Common(policy=("default=straight", "paper=robust", "default=robust", "straight"))
+    methods = Policies(config).methods()
+    names = {method: [subject.name for subject in ones] for method, ones in methods.items()}
+    assert names == {
+        "default": ["straight", "robust"],
+        "paper": ["robust"],
+        "straight": ["straight"],
+    }
 
 
 def test_recurrent_policy_gets_is_init_and_keeps_state() -> None:

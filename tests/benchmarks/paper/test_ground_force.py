@@ -21,7 +21,7 @@ Written = Callable[[str], dict[str, Any]]
 def test_force_of_robot_and_model(tmp_path: Path, written: Written) -> None:
     rows = ground_force.main(Config(out=tmp_path, speeds=(0.5,), settle=1.0, walk=3.0))
     ours, model = rows
-    assert ours["method"] == "ASLIP"
+    assert ours["method"] == "straight"
     assert 0.35 < ours["duration"] < 0.65
     # the two feet carry the weight over a stride of 0.8 s
     assert ours["impulse"] == pytest.approx(33.312 * 9.81 * 0.8025 / 2, rel=0.08)

@@ -14,7 +14,6 @@ from aslip.robot import CASSIE
 from aslip.walking import Walks
 from benchmarks.paper import velocity_tracking
 from benchmarks.paper.velocity_tracking import Config
-from recipes import walk
 
 Written = Callable[[str], dict[str, Any]]
 
@@ -29,13 +28,6 @@ def test_a_policy_tracks_its_command(tmp_path: Path, written: Written) -> None:
     assert len(numbers["steps"]) == len(velocity_tracking.STEPS)
     assert numbers["spike"]["model"] > 0
     written("velocity_tracking")
-
-
-def test_a_log_straight_ahead(tmp_path: Path) -> None:
-    log = tmp_path / "walk.mcap"
-    walk.main(walk.Config("aslip", command="0:0.5,0.3:0.6", duration=0.6, log=log))
-    numbers = velocity_tracking.main(Config(out=tmp_path, log=log))
-    assert [row["command"] for row in numbers["schedule"]] == pytest.approx([0.5, 0.6])
 
 
 def test_mean_velocity_of_uniform_motion() -> None:

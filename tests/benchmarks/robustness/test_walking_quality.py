@@ -11,12 +11,11 @@ import pytest
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps
-from benchmarks.common import Policies, table
+from benchmarks.common import table
 from benchmarks.robustness.walking_quality import (
     COLUMNS,
     QUANTITIES,
     Config,
-    load_methods,
     main,
     model_rows,
     quantities,
@@ -73,17 +72,6 @@ def test_report_of_a_policy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (tmp_path / "walking_quality.png").read_bytes().startswith(b"\x89PNG")
     written = json.loads((tmp_path / "walking_quality.json").read_text())
     assert written["rows"][0]["power"] == robot["power"]
-
-
-def test_policies_of_one_name_are_seeds_of_a_method() -> None:
-    config = Config(policy=("default=straight", "paper=robust", "default=robust", "straight"))
-    methods = load_methods(config, Policies(config))
-    names = {method: [subject.name for subject in ones] for method, ones in methods.items()}
-    assert names == {
-        "default": ["straight", "robust"],
-        "paper": ["robust"],
-        "straight": ["straight"],
-    }
 
 
 def _seed(value: float) -> dict[str, float]:
