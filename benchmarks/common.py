@@ -15,12 +15,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-import io
 import json
-import logging
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +27,6 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from matplotlib.figure import Figure
 from tensordict.nn import TensorDictModuleBase
-from torchrl import torchrl_logger
 
 import aslip
 from aslip.base.tables import markdown
@@ -73,8 +70,8 @@ class Subject:
     """Function that makes its environments."""
     stored: bool
     """True for a policy file, whose card environments are checked against."""
-    find_library: Callable[[], GaitLibrary]
-    """Function that loads the library of its gaits, see `library`."""
+    library: GaitLibrary
+    """Library of its gaits."""
 
     @classmethod
     def load(
@@ -102,13 +99,8 @@ class Subject:
             stack = policy_stack(policy) if stored else "directions" if several else "default"
             make_env = partial(aslip.make_env, stack=stack, library=library)
         module = aslip.load_policy(policy) if stored else policy
-        find_library = partial(command_library, policy) if library is None else lambda: library
-        return cls(policy_name(policy), module, make_env, stored, find_library)
-
-    @functools.cached_property
-    def library(self) -> GaitLibrary:
-        """Library of its gaits."""
-        return self.find_library()
+        library = command_library(policy) if library is None else library
+        return cls(policy_name(policy), module, make_env, stored, library)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy whose episodes end as in training.
@@ -313,22 +305,3 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[list[str]]:
-    """Silence output and progress bars; yields the list of TorchRL's log messages."""
-    messages: list[str] = []
-
-    class Listener(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            messages.append(record.getMessage())
-
-    handlers = torchrl_logger.handlers[:]
-    torchrl_logger.handlers[:] = [Listener()]
-    silence = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
-            yield messages
-    finally:
-        torchrl_logger.handlers[:] = handlers

@@ -47,7 +47,6 @@ from aslip.transforms.rotation import (
 from aslip.walking import WalkResult, evaluate
 
 _STEP_SECONDS = 1.2e-3  # of one core
-_UNLOADED = "no_minimum_force"
 
 
 class WorldFrame(SeededTransform):
@@ -154,7 +153,6 @@ VARIANTS: Mapping[str, Variant] = {
     "independent_gaits": Variant(
         "the nearest gait of the library, without interpolation", make_stack=with_independent_gaits
     ),
-    _UNLOADED: Variant("gaits that may let go of the floor in mid-stance"),
 }
 """Name -> difference from the default."""
 
@@ -164,23 +162,21 @@ def experiment(config: Config, resume_command: str) -> Experiment:
     return Experiment(
         VARIANTS,
         DIRECTION_WEIGHTS,
-        partial(_train, config, resume_command),
+        partial(_train, config.library, resume_command),
         _STEP_SECONDS,
-        lambda name: str(config.unloaded) if name == _UNLOADED else config.library,
         groups=("Nominal robots", "Drawn robots, floors and sensors"),
     )
 
 
 def _train(
-    config: Config, resume_command: str, variant: Variant, settings: Mapping[str, Any]
+    library: str, resume_command: str, variant: Variant, settings: Mapping[str, Any]
 ) -> list[WalkResult]:
     """Train or resume one run; returns its walks on the nominal robot, then on drawn robots."""
-    library = str(config.unloaded) if variant is VARIANTS[_UNLOADED] else config.library
-    training = DirectionConfig(**{**settings, "library": library, **variant.settings})
+    config = DirectionConfig(**settings, library=library, **variant.settings)
     make_stack = variant.make_stack or standing_stack
-    ppo_directions.main(training, resume_command, make_stack=make_stack, **variant.networks)
-    policy, stack = aslip.load_policy(training.out), make_stack(GaitLibrary.load(library))
-    common = evaluation_stack(stack, GaitLibrary.load(config.library))
+    ppo_directions.main(config, resume_command, make_stack=make_stack, **variant.networks)
+    policy, gaits = aslip.load_policy(config.out), GaitLibrary.load(library)
+    common = evaluation_stack(make_stack(gaits), gaits)
     walks = []
     for one in (common, randomise_stack(common, WIDE_RANGES)):
         env, commands = make_evaluation_env(partial(aslip.make_env, stack=one), seed=0)

@@ -37,9 +37,6 @@ class Config(UserPaths):
     """Folder of all trainings, the table `ablation.md` and the picture `ablation.png`."""
     library: str = "gaits"
     """Library of gaits: a shipped one, or a file."""
-    unloaded: Path = Path("runs/unloaded/gaits.npz")
-    """Library of the variant `no_minimum_force`, from `python recipes/direction_library.py --out
-    runs/unloaded --model.min-stance-force 0`, with the grid and limits of `library`."""
     list: bool = False
     """List the variants and train nothing."""
 

@@ -121,7 +121,7 @@ VARIANTS: Mapping[str, Variant] = {
 def experiment(config: Config, resume_command: str) -> Experiment:
     """Trainings of all variants; `resume_command` is for messages."""
     train = partial(_train, config.library, resume_command)
-    return Experiment(VARIANTS, PAPER_WEIGHTS, train, _STEP_SECONDS, lambda _: config.library)
+    return Experiment(VARIANTS, PAPER_WEIGHTS, train, _STEP_SECONDS)
 
 
 def _train(

@@ -63,8 +63,6 @@ class Experiment:
     """Function that trains a variant with settings of the recipe that all share, and walks."""
     step_seconds: float
     """Duration of a policy step of a training, about [s]."""
-    library: Callable[[str], str]
-    """Function from the name of a variant to its library: a shipped one, or a file."""
     groups: tuple[str, ...] = ("",)
     """Names of the equal parts of a training's walks, in order; each part has a table."""
 
@@ -93,15 +91,9 @@ def run(config: Config, experiment: Experiment) -> Found:
 
 def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
     """Train, and write table and picture; see `run`."""
-    # loaded at once, as a missing file would end the work after hours
-    files = {file: GaitLibrary.load(file).sha256 for file in map(experiment.library, names)}
+    shared = {**budget(config), "library_sha256": GaitLibrary.load(config.library).sha256}
     jobs = [(name, seed, config.out / f"{name}-{seed}") for seed in config.seeds for name in names]
-    common = GaitLibrary.load(config.library).sha256
-    origins = {
-        name: {"trained on": files[experiment.library(name)], "compared with": common}
-        for name in names
-    }
-    done = {folder: read_results(folder, config, origins[name]) for name, _, folder in jobs}
+    done = {folder: read_results(folder, shared) for _, _, folder in jobs}
     for folder in [folder for folder, results in done.items() if results is None]:
         is_started(folder, config)  # before hours of training
     print(announcement(config, experiment, [*done.values()]), flush=True)
@@ -120,8 +112,8 @@ def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
             settings["resume"] = is_started(folder, config)
             results = experiment.train(experiment.variants[name], settings)
             walks = [asdict(result) for result in results]
-            kept = {**budget(config), "origin": origins[name], "walks": walks}
-            write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
+            kept = json.dumps({**shared, "walks": walks}, indent=1)
+            write_text(folder / _RESULTS, kept + "\n")
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
         shown = tables(found, config.total_steps, experiment)
@@ -156,7 +148,7 @@ def is_started(folder: Path, config: Config) -> bool:
     """
     started = (folder / SETTINGS_FILE).exists()
     if started:
-        check_budget(folder, read_settings(folder)[0], config)
+        check_settings(folder, read_settings(folder)[0], budget(config))
     return started
 
 
@@ -165,14 +157,16 @@ def budget(config: Config) -> dict[str, int]:
     return {"total_steps": config.total_steps, "num_envs": config.num_envs}
 
 
-def read_results(
-    folder: Path, config: Config, origin: Mapping[str, str]
-) -> list[WalkResult] | None:
+def read_results(folder: Path, expected: Mapping[str, Any]) -> list[WalkResult] | None:
     """Walks of a finished training; None if there is none.
 
+    Args:
+        folder: folder of the training.
+        expected: its budget, and the hash of its gaits.
+
     Raises:
-        ConfigurationError: the training had another budget, to which its schedule belongs, or its
-            gaits have another origin.
+        ConfigurationError: the training had another budget, to which its schedule belongs, or other
+            gaits.
         FileDamagedError: the results cannot be read.
     """
     path = folder / _RESULTS
@@ -185,25 +179,20 @@ def read_results(
         raise FileDamagedError(
             f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
         ) from error
-    check_budget(folder, kept, config)
-    if kept.get("origin", {}) != origin:
-        raise ConfigurationError(
-            f"the training in {str(folder)!r} had gaits of {kept.get('origin')}, not {origin};"
-            " choose another --out"
-        )
+    check_settings(folder, kept, expected)
     return walks
 
 
-def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
-    """Check the budget of a training.
+def check_settings(folder: Path, kept: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Check what all trainings of a table share.
 
     Raises:
-        ConfigurationError: the training has another budget.
+        ConfigurationError: the training has something else.
     """
-    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
+    other = {name: kept.get(name) for name, value in expected.items() if kept.get(name) != value}
     if other:
         raise ConfigurationError(
-            f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
+            f"the training in {str(folder)!r} had {other}, not {dict(expected)}; choose another"
             " --out"
         )
 

@@ -10,7 +10,7 @@ policy's file, walks at all speeds and the other benchmarks. Walks and benchmark
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.base.assets import UserPaths
@@ -30,8 +30,6 @@ class Config(UserPaths):
     """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
     """Folder for the benchmarks' results."""
-    record: Path | None = None
-    """File for the values of a policy for all directions, as of the scorecard."""
     measure: bool = True
     """Walk, run the benchmarks, and add their tables to the card."""
 
@@ -47,7 +45,6 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
-import math
 import re
 from contextlib import closing
 from functools import partial
@@ -56,7 +53,6 @@ from typing import Any
 from tensordict.utils import unravel_key
 
 from aslip.base.archive import as_json
-from aslip.base.interval import Interval
 from aslip.base.provenance import provenance
 from aslip.base.tables import markdown
 from aslip.base.writing import replacing
@@ -153,19 +149,16 @@ def training_section(about: dict[str, Any]) -> str:
 
 def interface_section(about: dict[str, Any]) -> str:
     """Section on observation, action and PD control."""
-    env = make_env(stack=about["stack"])
-    try:
+    with closing(make_env(stack=about["stack"])) as env:
         delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
         spec = env.full_observation_spec
-        baseline = "/".join(map(str, unravel_key(delta.baseline_key)))
-        rows, index = [], 0
-        for name in about["observation"]:
-            size = spec[tuple(name.split("/"))].shape[-1]
-            span = str(index) if size == 1 else f"{index}-{index + size - 1}"
-            rows.append([span, name, _ENTRIES[name]])
-            index += size
-    finally:
-        env.close()
+    baseline = "/".join(map(str, unravel_key(delta.baseline_key)))
+    rows, index = [], 0
+    for name in about["observation"]:
+        size = spec[tuple(name.split("/"))].shape[-1]
+        span = str(index) if size == 1 else f"{index}-{index + size - 1}"
+        rows.append([span, name, _ENTRIES[name]])
+        index += size
     gains = [
         [name, f"{stiffness:g}", f"{damping:g}", f"{limit:g}"]
         for name, stiffness, damping, limit in zip(
@@ -234,14 +227,7 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
 def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Targets of walks in all directions, tables of their benchmarks, and the limits."""
     out = config.out / config.name
-    settings = direction_targets.Config(policy=(policy,), out=out)
-    record = direction_targets.open_record(replace(settings, record=config.record))
-    record.check([policy])
-    rows = direction_targets.main(settings)
-    if not record.holds(policy):
-        none = {"mean": math.nan, "low": math.nan, "high": math.nan}
-        found = {row["name"]: row["found"]["policy"]["interval"] or none for row in rows}
-        record.add(policy, {name: Interval.of_row(one) for name, one in found.items()})
+    direction_targets.main(direction_targets.Config(policy=(policy,), out=out))
     folder = out / describe(policy)["name"]
     titles = {
         "Velocity": "tracking",

@@ -188,9 +188,9 @@ def settle(
     """
     steps = round(config.settle / CASSIE.policy_period)
     library = library_of(env)
-    ahead = torch.tensor([straight(library, config.speed)])
-    start = phase - steps * CASSIE.policy_period / library.stride(ahead).item()
-    td = reset_walks(env, ahead.double().numpy().repeat(len(phase), axis=0), start % 1.0)
+    command = torch.tensor([straight(library, config.speed)])
+    start = phase - steps * CASSIE.policy_period / library.stride(command).item()
+    td = reset_walks(env, command.double().numpy().repeat(len(phase), axis=0), start % 1.0)
     return walk_on(env, actor, td, steps, bar)
 
 

@@ -40,7 +40,7 @@ TARGETS: Final = (
     _falls("lifted feet", "times a foot is off the ground in standing, of all walks"),
     Claim(
         "stop",
-        "time from the wish at 1 m/s to planted feet, mean over phases [s]",
+        "time from the stand command at 1 m/s to planted feet, mean over phases [s]",
         at_most=1.0,
     ),
     Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),

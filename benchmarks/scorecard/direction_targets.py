@@ -161,14 +161,14 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
     out = config.out / describe(policy)["name"]
     common: dict[str, Any] = {"out": out, "policy": (policy_name(policy),), "truth": config.truth}
     common |= {"library": config.library, "seed": config.seed + (describe(policy)["seed"] or 0)}
-    ahead = {"speeds": (1.0,) * _STOPS, "walks": _STOPS, "duration": 0.5, "out": out / "stops"}
+    straight = {"speeds": (1.0,) * _STOPS, "walks": _STOPS, "duration": 0.5, "out": out / "stops"}
     return {
         "tracking": tracking.Config(**common, commands=config.commands),
         "changes": command_changes.Config(
             **common, changes=config.changes, robots=min(_ROBOTS, config.changes)
         ),
         "standing": stops.Config(**common, walks=config.stops, duration=config.stand),
-        "stops": stops.Config(**{**common, **ahead}),
+        "stops": stops.Config(**{**common, **straight}),
         "path": figure_of_eight.Config(**common, duration=config.path),
         "quality": walking_quality.Config(**common, speeds=SPEEDS),
         "pushes": pushes.Config(**common, walks=config.walks, directions=config.pushes),

@@ -91,7 +91,7 @@ def main(config: Config) -> None:
     print(parts[config.part](config))
 
 
-class LossyWay:
+class LossyPath:
     """One direction of a network, with losses and delays.
 
     Args:
@@ -154,9 +154,9 @@ def lossy_walk(
     rng, jitter = np.random.default_rng(seed), config.jitter / CASSIE.physics_timestep
     client = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
     robot = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
-    states = LossyWay(robot, client, config.loss, jitter, rng)
-    commands = LossyWay(client, robot, config.loss, jitter, rng)
-    supervisor = Supervisor(loaded.controller)
+    states = LossyPath(robot, client, config.loss, jitter, rng)
+    commands = LossyPath(client, robot, config.loss, jitter, rng)
+    supervisor = Supervisor(loaded.controller, loaded.pose, command_size=loaded.command_size)
     source, twin = Scheduled(Schedule.parse(str(speed))), TwinRobot()
     run = Run(supervisor, StateReadings(), source, say=lambda _: None)
     held, heard = PD_IN.zeros(), 0

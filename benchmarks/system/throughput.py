@@ -50,6 +50,7 @@ if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
+import io
 import itertools
 import statistics
 import subprocess
@@ -58,7 +59,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -79,7 +80,7 @@ from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
 from aslip.training.collectors import LocalCollector
 from aslip.transforms import ActionDelta
-from benchmarks.common import MakeEnv, Policy, Subject, quiet
+from benchmarks.common import MakeEnv, Policy, Subject
 from recipes import ppo_aslip
 from recipes.ppo_presets import environments
 
@@ -268,13 +269,21 @@ def time_iterations(
         made.append(TimedCollector(*args, **settings))
         return made[-1]
 
-    with tempfile.TemporaryDirectory() as folder, quiet():
+    with tempfile.TemporaryDirectory() as folder, _silence():
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
         ppo_aslip.main(short, **environments(preset), make_collector=make_collector)
     return made[0].spans
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Drop what a training prints."""
+    nowhere = io.StringIO()
+    with redirect_stdout(nowhere), redirect_stderr(nowhere):
+        yield
 
 
 def memory_table(config: Config) -> str:

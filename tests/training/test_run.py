@@ -17,13 +17,13 @@ from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
 from aslip.training.settings import read_settings
-from benchmarks.common import quiet
 from tests.training.run_folder import (
     Settings,
     constant_network,
     open_run,
     save_steps,
 )
+from tests.training.trainings import quiet
 
 
 def test_settings_are_kept(settings: Settings) -> None:

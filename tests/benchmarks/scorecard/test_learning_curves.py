@@ -119,20 +119,20 @@ def test_record_keeps_concurrent_additions(tmp_path: Path, monkeypatch: pytest.M
     assert list(learning_curves.read_record(record)) == [("default", 4), ("default", 5)]
 
 
-@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize("started", [False, True])
 def test_started_training_is_resumed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, started: bool
 ) -> None:
     """Even if it was killed before its first checkpoint and has a learning curve."""
     commands: list[list[str]] = []
     monkeypatch.setattr(
         learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
     )
-    if begun:
+    if started:
         curves_of(tmp_path / "default-0", walks_at=300, steps=20)
         (tmp_path / "default-0" / "config.json").write_text("{}")
     learning_curves._start(curves_config(tmp_path, schedule_steps=7000), "default", 0, 0)
-    assert [command[-1] == "--resume" for command in commands] == [begun]
+    assert [command[-1] == "--resume" for command in commands] == [started]
     assert commands[0][commands[0].index("--schedule-steps") + 1] == "7000"
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from aslip.network.runner.load import Loaded, load
 from aslip.network.wire import PD_IN, STATE_OUT, Link
-from benchmarks.system.runner import Config, LossyWay, lossy_walk
+from benchmarks.system.runner import Config, LossyPath, lossy_walk
 
 
 @pytest.fixture(scope="module")
@@ -15,21 +15,21 @@ def loaded() -> Loaded:
     return load("straight")
 
 
-def way(loss: float, jitter: float) -> tuple[LossyWay, Link]:
+def path(loss: float, jitter: float) -> tuple[LossyPath, Link]:
     receiver = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
     sender = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
-    return LossyWay(sender, receiver, loss, jitter, np.random.default_rng(0)), receiver
+    return LossyPath(sender, receiver, loss, jitter, np.random.default_rng(0)), receiver
 
 
 def test_without_losses_every_packet_arrives_at_once() -> None:
-    lossless, _ = way(0.0, 0.0)
+    lossless, _ = path(0.0, 0.0)
     for tick in range(5):
         lossless.send(tick, PD_IN.zeros())
         assert len(lossless.arrivals(tick)) == 1
 
 
 def test_losses_and_delays_are_those_asked_for() -> None:
-    lossy, receiver = way(0.2, 20.0)
+    lossy, receiver = path(0.2, 20.0)
     accepted = 0
     for tick in range(2000):
         lossy.send(tick, PD_IN.zeros())
