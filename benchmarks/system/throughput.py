@@ -59,7 +59,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -269,21 +269,15 @@ def time_iterations(
         made.append(TimedCollector(*args, **settings))
         return made[-1]
 
-    with tempfile.TemporaryDirectory() as folder, _silence():
+    nowhere = io.StringIO()
+    silent = redirect_stdout(nowhere), redirect_stderr(nowhere)
+    with tempfile.TemporaryDirectory() as folder, silent[0], silent[1]:
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
         ppo_aslip.main(short, **environments(preset), make_collector=make_collector)
     return made[0].spans
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Drop what a training prints."""
-    nowhere = io.StringIO()
-    with redirect_stdout(nowhere), redirect_stderr(nowhere):
-        yield
 
 
 def memory_table(config: Config) -> str:
