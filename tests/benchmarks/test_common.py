@@ -121,16 +121,6 @@ def test_policies_of_one_name_are_seeds_of_a_method() -> None:
     }
 
 
-def test_recurrent_policy_gets_is_init_and_keeps_state() -> None:
-    subject = Subject.load(POLICIES["gru"], make_own_env)
-    with closing(subject.env(1)) as env, torch.no_grad():
-        td = env.rollout(5, subject.policy)
-    assert td["is_init"][0, :, 0].tolist() == [True, False, False, False, False]
-    assert not td["memory"][0, 0].any()
-    torch.testing.assert_close(td["memory"][0, 1:], td["next", "memory"][0, :-1])
-    assert td["memory"][0, 4].any()
-
-
 def test_results_are_valid_json_with_nan(tmp_path: Path) -> None:
     write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
     text = (tmp_path / "mine.json").read_text()

@@ -24,7 +24,6 @@ from benchmarks.robustness.pushes import (
     push_rows,
     settle,
 )
-from benchmarks.robustness.sweeps import walk_on
 
 NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
@@ -115,24 +114,6 @@ def test_pushes_begin_at_their_phase() -> None:
     td, _ = settle(config, env, SHIPPED.policy, phase, BAR)
     difference = np.asarray(td["phase"][:, 0]) - phase
     np.testing.assert_allclose((difference + 0.5) % 1 - 0.5, 0, atol=1e-5)
-
-
-def test_walks_from_restored_states_repeat() -> None:
-    """Bit for bit without noise, with or without pushes in between; pushes have their direction."""
-    config = _config(truth=True)
-    actor, env = SHIPPED.policy, SHIPPED.walking_env(config, 2)
-    td, _ = settle(config, env, actor, np.array([0.0, 0.5]), BAR)
-    states = env.base_env.states()
-    forces = [None, np.array([[0.0, 100.0, 0.0], [-100.0, 0.0, 0.0]]), None]
-    ends = []
-    for force in forces:
-        env.base_env.set_states(states)
-        after, _ = walk_on(env, actor, td, 4, BAR, force)
-        ends.append(walk_on(env, actor, after, 4, BAR)[0])
-    first, pushed, second = (end["truth", "qvel"].numpy() for end in ends)
-    np.testing.assert_array_equal(first, second)
-    assert pushed[0, 1] > first[0, 1] + 0.05
-    assert pushed[1, 0] < first[1, 0] - 0.05
 
 
 def _pushes(*impulses: float) -> np.ndarray:
