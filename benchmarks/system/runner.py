@@ -156,7 +156,7 @@ def lossy_walk(
     robot = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
     states = LossyPath(robot, client, config.loss, jitter, rng)
     commands = LossyPath(client, robot, config.loss, jitter, rng)
-    supervisor = Supervisor(loaded.controller, loaded.pose, command_size=loaded.command_size)
+    supervisor = Supervisor(loaded.controller)
     source, twin = Scheduled(Schedule.parse(str(speed))), TwinRobot()
     run = Run(supervisor, StateReadings(), source, say=lambda _: None)
     held, heard = PD_IN.zeros(), 0
