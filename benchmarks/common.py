@@ -1,4 +1,4 @@
-"""Subjects, walks and reports shared by the benchmarks.
+"""Policies, walks and reports, which the benchmarks share.
 
 A subject is a policy and a way to make its environment. On the command line a policy is the name of
 a shipped one, a file or a run folder, and its environment follows from its card. In Python `main`
@@ -13,77 +13,49 @@ of a benchmark also takes any TensorDict module, and a function that makes envir
 from __future__ import annotations
 
 import contextlib
-import io
+import functools
+import inspect
 import json
-import logging
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl import torchrl_logger
-from tqdm import tqdm
 
 import aslip
-from aslip.base.interval import Interval
+from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, shipped_library
-from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.library.library import SHIPPED
-from aslip.log import read, read_walk
-from aslip.policy import add_memory, check_policy_fits, policy_library, policy_stack
+from aslip.policy import add_memory, check_policy_fits, policy_stack
 from aslip.robot import CASSIE, SIDES
 from aslip.rom import Gait
 from aslip.show.plots import save_figure
-from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
-from aslip.walking import Walks, command_library, next_start, record_walks, walk
+from aslip.walking import Walks, command_library, record_walks
 from benchmarks.flags import Common, WithLibrary
 
-__all__ = [
-    "WALKING_LENGTH",
-    "Common",
-    "Holder",
-    "Interval",
-    "MakeEnv",
-    "Policy",
-    "Subject",
-    "check_straight",
-    "checkpoint_times",
-    "chosen_library",
-    "constant_walks",
-    "load_library",
-    "load_subjects",
-    "load_with_library",
-    "logged_walk",
-    "nearest_gait",
-    "quiet",
-    "record_subject",
-    "shortest_swing",
-    "straight",
-    "strides",
-    "walk_on",
-    "write_report",
-    "write_results",
-]
-
-WALKING_LENGTH = 350
-"""Mean episode length from which a training counts as walking, of at most 400 [policy steps]."""
+Result = TypeVar("Result")
+Settings = TypeVar("Settings", bound=Common)
 
 Policy = TensorDictModuleBase | str | Path
 """Policy module, or what `aslip.load_policy` takes."""
 
 MakeEnv = Callable[..., StackEnv]
 """Function that makes an environment, with the keywords of `aslip.make_env`."""
+
+# a method's name before its policy
+_NAMED = re.compile(r"([\w '.,-]+)=(.+)")
+
+Columns = Mapping[str, str | Callable[[Any], str]]
+"""Columns of a table: header -> format of a row's fields, or function from a row to a cell."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +70,8 @@ class Subject:
     """Function that makes its environments."""
     stored: bool
     """True for a policy file, whose card environments are checked against."""
-    find_library: Callable[[], GaitLibrary]
-    """Function that loads the library of its gaits."""
+    library: GaitLibrary
+    """Library of its gaits."""
 
     @classmethod
     def load(
@@ -127,8 +99,8 @@ class Subject:
             stack = policy_stack(policy) if stored else "directions" if several else "default"
             make_env = partial(aslip.make_env, stack=stack, library=library)
         module = aslip.load_policy(policy) if stored else policy
-        find_library = partial(command_library, policy) if library is None else lambda: library
-        return cls(policy_name(policy), module, make_env, stored, find_library)
+        library = command_library(policy) if library is None else library
+        return cls(policy_name(policy), module, make_env, stored, library)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy whose episodes end as in training.
@@ -166,31 +138,47 @@ def _joined(make_env: MakeEnv, settings: dict[str, Any]) -> dict[str, Any]:
     return joined
 
 
-def load_subjects(
-    config: Common,
-    policy: Policy | None = None,
-    make_env: MakeEnv | None = None,
-    library: GaitLibrary | None = None,
-) -> list[Subject]:
-    """Subjects of a benchmark: a policy given in Python, or those of the command line."""
-    policies = config.policy if policy is None else [policy]
-    return [Subject.load(one, make_env, library) for one in policies]
+@dataclass(frozen=True)
+class Policies:
+    """Policies that a benchmark measures: those of its settings, or one that is given in Python."""
+
+    config: Common
+    given: Policy | None = None
+    make_env: MakeEnv | None = None
+    """Function that makes the environments, in place of what the policies' cards name."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names in reports."""
+        return [*self.config.policy] if self.given is None else [policy_name(self.given)]
+
+    def load(self, make_env: MakeEnv | None = None) -> list[Subject]:
+        """Load the subjects.
+
+        Args:
+            make_env: function that makes the environments unless the caller gives one.
+        """
+        policies = self.config.policy if self.given is None else [self.given]
+        library = chosen_library(self.config)
+        return [Subject.load(one, self.make_env or make_env, library) for one in policies]
+
+    def methods(self) -> dict[str, list[Subject]]:
+        """Load the seeds of each method: `method=policy`, or policies that are methods each."""
+        if self.given is not None:
+            return {self.names[0]: self.load()}
+        methods: dict[str, list[Subject]] = {}
+        for text in self.config.policy:
+            named = _NAMED.fullmatch(text)
+            name, path = named.groups() if named else (text, text)
+            subject = Subject.load(path, self.make_env, chosen_library(self.config))
+            methods.setdefault(name, []).append(subject)
+        return methods
 
 
-def load_with_library(
-    config: WithLibrary, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> tuple[list[Subject], GaitLibrary]:
-    """Subjects of a benchmark, and the library of their gaits.
-
-    The library is the flag's, or the shipped one of the first policy.
-    """
-    subjects = load_subjects(config, policy, make_env, chosen_library(config))
-    return subjects, subjects[0].find_library()
-
-
-def chosen_library(config: WithLibrary) -> GaitLibrary | None:
-    """Library of the flag, if it is given."""
-    return None if config.library is None else load_library(config.library)
+def chosen_library(config: Common) -> GaitLibrary | None:
+    """Library of the flag; None without one."""
+    name = config.library if isinstance(config, WithLibrary) else None
+    return None if name is None else load_library(name)
 
 
 def load_library(path: str) -> GaitLibrary:
@@ -225,73 +213,7 @@ def record_subject(config: Common, subject: Subject, command: np.ndarray) -> Wal
         return record_walks(subject.policy, env, command)
 
 
-def logged_walk(path: Path) -> Walks:
-    """Read the walk of a log, straight ahead.
-
-    Raises:
-        ConfigurationError: the walk is commanded sideways, or to turn.
-    """
-    walk = read_walk(read(path))
-    if walk.command.ndim == 3 and walk.command[..., 1:].any():
-        raise ConfigurationError(
-            f"{str(path)!r} is commanded sideways or to turn, and the benchmark measures walks"
-            ' straight ahead: record with recipes/walk.py --command "0:0.5,4:1.0"'
-        )
-    return walk
-
-
-def check_straight(policies: Sequence[Policy]) -> None:
-    """Check that policies follow the paper's gaits, straight ahead; modules count as such.
-
-    Raises:
-        ConfigurationError: one follows gaits in all directions.
-    """
-    for policy in policies:
-        if isinstance(policy, str | Path) and policy_library(policy) == "directions":
-            raise ConfigurationError(
-                f"the benchmark is about the paper's gaits, straight ahead, and {str(policy)!r}"
-                " follows gaits in all directions; --policy straight is measured by default"
-            )
-
-
-def walk_on(
-    env: StackEnv,
-    actor: TensorDictModuleBase,
-    td: TensorDictBase,
-    steps: int,
-    bar: tqdm,
-    force: np.ndarray | None = None,
-) -> tuple[TensorDictBase, np.ndarray]:
-    """Walk on from a tensordict, which is left as it is, until all robots have fallen.
-
-    Args:
-        env: environment of n robots, in the state that belongs to the tensordict.
-        actor: policy.
-        td: start.
-        steps: policy steps.
-        bar: progress bar that counts each robot's steps.
-        force: (n, 3) force on the pelvis throughout [N, world].
-
-    Returns:
-        The tensordict after the last step, and (n,) whether each robot is still up.
-    """
-    alive = np.ones(env.num_envs, dtype=bool)
-    for step in walk(actor, env, td, steps, push=force):
-        alive &= ~np.asarray(step["next", "terminated"][:, 0])
-        td = next_start(step)
-        bar.update(env.num_envs)
-        if not alive.any():
-            break
-    return td, alive
-
-
 # ---------------------------------------------------------------------------- gaits
-
-
-def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
-    """(n,) durations of the library's strides straight ahead [s]."""
-    command = torch.tensor([straight(library, speed) for speed in speeds], dtype=torch.float64)
-    return library.stride(command)[:, 0].numpy()
 
 
 def straight(library: GaitLibrary, speed: float) -> list[float]:
@@ -317,18 +239,50 @@ def shortest_swing(footholds: Footholds, command: float | Sequence[float]) -> fl
 # -------------------------------------------------------------------------- reports
 
 
-def write_report(
-    config: Common,
-    policy: Policy | None,
-    name: str,
-    numbers: dict[str, Any],
-    table: str,
-    figure: Figure | None = None,
-) -> None:
-    """Write results, with policies and shared settings."""
-    names = list(config.policy) if policy is None else [policy_name(policy)]
-    about = {"policies": names, "seed": config.seed, "truth": config.truth}
-    write_results(config.out, name, {**about, **numbers}, table, figure)
+@dataclass(frozen=True)
+class Report(Generic[Result]):
+    """Result of a benchmark, and what is written of it."""
+
+    result: Result
+    text: str
+    """Table, or tables."""
+    figure: Figure | None = None
+    numbers: Mapping[str, Any] | None = None
+    """Numbers to write; by default the result, under "rows"."""
+
+
+def benchmark(measure: Callable[[Settings, Policies], Report[Result]]) -> Callable[..., Result]:
+    """Make the `main` of a benchmark from a function that measures policies.
+
+    `main(config, policy=None, make_env=None)` measures the policies of the settings or the one that
+    is given, in environments of `make_env` if it is given. It prints the text, writes text, numbers
+    and picture to `config.out` under the name of the benchmark's module, and returns the result.
+    """
+    name = Path(inspect.getfile(measure)).stem
+
+    @functools.wraps(measure)
+    def main(
+        config: Settings, policy: Policy | None = None, make_env: MakeEnv | None = None
+    ) -> Result:
+        policies = Policies(config, policy, make_env)
+        report = measure(config, policies)
+        about = {"policies": policies.names, "seed": config.seed, "truth": config.truth}
+        numbers = {"rows": report.result} if report.numbers is None else report.numbers
+        write_results(config.out, name, {**about, **numbers}, report.text, report.figure)
+        return report.result
+
+    return main
+
+
+def table(
+    columns: Columns, rows: Sequence[Mapping[str, Any]], align: str | Sequence[str] = "---:"
+) -> str:
+    """Write a Markdown table, a line for each row; `align` as in `aslip.base.tables.markdown`."""
+    cells = [
+        [cell.format_map(row) if isinstance(cell, str) else cell(row) for cell in columns.values()]
+        for row in rows
+    ]
+    return markdown([*columns], cells, align)
 
 
 def write_results(
@@ -351,54 +305,3 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[list[str]]:
-    """Silence output and progress bars; yields the list of TorchRL's log messages."""
-    messages: list[str] = []
-
-    class Listener(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            messages.append(record.getMessage())
-
-    handlers = torchrl_logger.handlers[:]
-    torchrl_logger.handlers[:] = [Listener()]
-    silence = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
-            yield messages
-    finally:
-        torchrl_logger.handlers[:] = handlers
-
-
-# ---------------------------------------------------------------------- checkpoints
-
-
-class Holder:
-    """Checkpoint component that accepts any state."""
-
-    def __init__(self, state: Any = None) -> None:
-        self.state = state
-
-    def state_dict(self) -> Any:
-        """Loaded state."""
-        return self.state
-
-    def load_state_dict(self, state: Any) -> None:
-        """Keep a state."""
-        self.state = state
-
-
-def checkpoint_times(path: Path) -> dict[str, float]:
-    """Size of a checkpoint [bytes], time to copy its states and time to write them [s]."""
-    names = ("actor", "critic", "optimizer", "rng", "collector")
-    components = {name: Holder() for name in names}
-    metadata = load_checkpoint(path, components)
-    start = time.perf_counter()
-    states = snapshot(components)
-    copied = time.perf_counter()
-    save_checkpoint(path, states, metadata)
-    written = time.perf_counter()
-    times = {"copied_s": copied - start, "written_s": written - copied}
-    return {"bytes": path.stat().st_size, **times}

@@ -1,28 +1,32 @@
-"""Settings that the recipes of ablations share, without any import of PyTorch."""
+"""Settings of ablations, without any import of PyTorch."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Final
 
 from aslip.base.assets import UserPaths
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.base.imports import extras
+from aslip.errors import ConfigurationError
+
+with extras():
+    import tyro
 
 
 @dataclass(frozen=True)
-class AblationConfig(UserPaths):
+class Config(UserPaths):
     """Settings of ablations.
 
     Raises:
-        UnknownNameError: a variant is unknown.
-        ConfigurationError: there is no variant or no seed.
+        ConfigurationError: there is no seed.
     """
 
-    names: ClassVar[tuple[str, ...]] = ()
-    """Names of the variants that exist."""
+    task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "straight"
+    """Name of the walks that are trained."""
     variants: tuple[str, ...] = ()
-    """Names of the variants to train."""
+    """Names of the variants to train; all by default."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 500_000
@@ -31,14 +35,28 @@ class AblationConfig(UserPaths):
     """Robots simulated side by side."""
     out: Path = Path("runs/ablation")
     """Folder of all trainings, the table `ablation.md` and the picture `ablation.png`."""
+    library: str = "gaits"
+    """Library of gaits: a shipped one, or a file."""
     list: bool = False
     """List the variants and train nothing."""
 
     def __post_init__(self) -> None:
-        """Check variants and seeds."""
+        """Check the seeds."""
         super().__post_init__()
-        for name in self.variants:
-            if name not in self.names:
-                raise UnknownNameError.among("variant", name, self.names)
-        if not self.variants or not self.seeds:
-            raise ConfigurationError("name at least one variant and one seed")
+        if not self.seeds:
+            raise ConfigurationError("name at least one seed")
+
+
+TASKS: Final[Mapping[str, Config]] = {
+    "straight": Config(),
+    "directions": Config(
+        "directions", seeds=(0,), total_steps=1_200_000, out=Path("runs/direction_ablation"),
+        library="directions",
+    ),
+}  # fmt: skip
+"""Name of a task -> default settings."""
+
+DESCRIPTIONS: Final = {
+    "straight": "walks straight ahead, 21 speeds",
+    "directions": "walks in all directions, 32 commands, on nominal and on drawn robots",
+}

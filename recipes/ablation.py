@@ -5,87 +5,102 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from ablate_settings import AblationConfig
+from ablate_settings import Config
 
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed
-from aslip.envs import MAX_EPISODE_STEPS
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.envs import MAX_EPISODE_STEPS, Stack
+from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
+from aslip.library import GaitLibrary
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.progress import read_progress
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
+from aslip.transforms import WeightedReward
 from aslip.walking import TRACKING_TOLERANCE, WalkResult
 
 NEVER: Final = 10**12
 """Interval of evaluations for short trainings, which shall have none [policy steps]."""
 
-_RESULTS = "judged.json"
+_RESULTS = "results.json"
 
 Found = dict[str, dict[int, list[WalkResult]]]
 """Name of a variant -> seed -> walks."""
+
+MakeStack = Callable[[GaitLibrary], Stack]
+"""Function from a library to the stack of a policy, without what only training has."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Difference from the default."""
+
+    question: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the recipe that differ from the default."""
+    make_stack: MakeStack | None = None
+    """Function that makes the stack; by default that of the experiment."""
+    networks: Mapping[str, Any] = field(default_factory=dict)
+    """Arguments of the recipe's `main` for other networks."""
 
 
 @dataclass(frozen=True)
 class Experiment:
     """Variants of a training."""
 
-    questions: Mapping[str, str]
-    """Name of a variant -> what it changes."""
+    variants: Mapping[str, Variant]
+    """The variants by name."""
     weights: Mapping[str, float]
     """Weights of the reward by which the walks are compared."""
-    train: Callable[[str, Path, int], list[WalkResult]]
-    """Function that trains, or resumes, a variant by name in a folder with a seed, and walks."""
-    seconds: Callable[[], float]
-    """Function that estimates the duration of a training [s]."""
-    origin: Callable[[str], Mapping[str, str]] = lambda _: {}
-    """Function that tells where a variant, by name, has its gaits from; results of another origin
-    are refused."""
+    train: Callable[[Variant, dict[str, Any]], list[WalkResult]]
+    """Function that trains a variant with settings of the recipe that all share, and walks."""
+    step_seconds: float
+    """Duration of a policy step of a training, about [s]."""
     groups: tuple[str, ...] = ("",)
     """Names of the equal parts of a training's walks, in order; each part has a table."""
 
 
-def run(config: AblationConfig, experiment: Experiment) -> Found:
-    """Train missing variants, then write table and picture; returns the walks.
+def without_terms(make_stack: MakeStack, weights: Mapping[str, float], *names: str) -> MakeStack:
+    """Stack without some reward terms; the weights of the others are scaled to a sum of 1."""
+    rest = 1 - sum(weights[name] for name in names)
+    scaled = {key: 0.0 if key in names else w / rest for key, w in weights.items()}
+    return lambda library: {**make_stack(library), "reward": WeightedReward(scaled)}
 
-    Args:
-        config: the settings.
-        experiment: the variants.
 
-    Raises:
-        ConfigurationError: a training in the folder had another budget, or another process works
-            in the folder.
-        FileDamagedError: results in the folder cannot be read.
-    """
+def run(config: Config, experiment: Experiment) -> Found:
+    """Train missing variants, then write table and picture; returns the walks."""
     if config.list:
-        print("\n".join(f"{name:24s}{text}" for name, text in experiment.questions.items()))
+        for name, variant in experiment.variants.items():
+            print(f"{name:24s}{variant.question}")
         return {}
+    names = config.variants or tuple(experiment.variants)
+    for name in names:
+        if name not in experiment.variants:
+            raise UnknownNameError.among("variant", name, experiment.variants)
     config.out.mkdir(parents=True, exist_ok=True)
     with claimed(config.out):
-        return _run(config, experiment)
+        return _run(config, experiment, names)
 
 
-def _run(config: AblationConfig, experiment: Experiment) -> Found:
+def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
     """Train, and write table and picture; see `run`."""
-    jobs = [(seed, name) for seed in config.seeds for name in config.variants]
+    shared = {**budget(config), "library_sha256": GaitLibrary.load(config.library).sha256}
+    jobs = [(name, seed, config.out / f"{name}-{seed}") for seed in config.seeds for name in names]
+    done = {folder: read_results(folder, shared) for _, _, folder in jobs}
+    for folder in [folder for folder, results in done.items() if results is None]:
+        is_started(folder, config)  # before hours of training
+    print(announcement(config, experiment, [*done.values()]), flush=True)
     found: Found = {}
     durations: list[float] = []
-    for seed, name in jobs:  # before hours of training
-        folder = config.out / f"{name}-{seed}"
-        if read_results(folder, config, experiment.origin(name)) is None:
-            is_begun(folder, config)
-    print(announcement(config, experiment), flush=True)
-    for i, (seed, name) in enumerate(jobs):
-        folder = config.out / f"{name}-{seed}"
-        origin = experiment.origin(name)
-        results = read_results(folder, config, origin)
+    for i, (name, seed, folder) in enumerate(jobs):
+        results = done[folder]
         if results is None:
             left = ""
             if durations:
@@ -93,10 +108,12 @@ def _run(config: AblationConfig, experiment: Experiment) -> Found:
                 left = f", about {timedelta(seconds=seconds)} left"
             print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
             start = time.perf_counter()
-            results = experiment.train(name, folder, seed)
+            settings = {**budget(config), "out": folder, "seed": seed, "eval_interval": NEVER}
+            settings["resume"] = is_started(folder, config)
+            results = experiment.train(experiment.variants[name], settings)
             walks = [asdict(result) for result in results]
-            kept = {**budget(config), "origin": {**origin}, "walks": walks}
-            write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
+            kept = json.dumps({**shared, "walks": walks}, indent=1)
+            write_text(folder / _RESULTS, kept + "\n")
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
         shown = tables(found, config.total_steps, experiment)
@@ -110,46 +127,46 @@ def _run(config: AblationConfig, experiment: Experiment) -> Found:
     return found
 
 
-def announcement(config: AblationConfig, experiment: Experiment) -> str:
-    """Message at the start: number of trainings, and their duration."""
-    names = [f"{name}-{seed}" for seed in config.seeds for name in config.variants]
-    count = len(names)
-    done = sum((config.out / name / _RESULTS).exists() for name in names)
-    if done == count:
+def announcement(config: Config, experiment: Experiment, done: Sequence[object]) -> str:
+    """Message at the start: number of trainings that are not done, and their duration."""
+    count, missing = len(done), sum(results is None for results in done)
+    if not missing:
         return f"all of {count} trainings are done"
-    seconds = (count - done) * experiment.seconds()
+    seconds = missing * experiment.step_seconds * config.total_steps
     about = timedelta(seconds=60 * max(1, round(seconds / 60)))
     return (
-        f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
-        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves all finished work"
+        f"{missing} of {count} trainings to go, {config.total_steps} policy steps each: about"
+        f" {about} (hours:minutes:seconds) on one core; Ctrl-C saves all finished work"
     )
 
 
-def is_begun(folder: Path, config: AblationConfig) -> bool:
-    """True if a training was begun in a folder, which must have had the same budget.
+def is_started(folder: Path, config: Config) -> bool:
+    """True if a training was started in a folder, which must have had the same budget.
 
     Raises:
         ConfigurationError: it had another one.
     """
-    begun = (folder / SETTINGS_FILE).exists()
-    if begun:
-        check_budget(folder, read_settings(folder)[0], config)
-    return begun
+    started = (folder / SETTINGS_FILE).exists()
+    if started:
+        check_settings(folder, read_settings(folder)[0], budget(config))
+    return started
 
 
-def budget(config: AblationConfig) -> dict[str, int]:
+def budget(config: Config) -> dict[str, int]:
     """Settings that all trainings of a table share."""
     return {"total_steps": config.total_steps, "num_envs": config.num_envs}
 
 
-def read_results(
-    folder: Path, config: AblationConfig, origin: Mapping[str, str]
-) -> list[WalkResult] | None:
+def read_results(folder: Path, expected: Mapping[str, Any]) -> list[WalkResult] | None:
     """Walks of a finished training; None if there is none.
 
+    Args:
+        folder: folder of the training.
+        expected: its budget, and the hash of its gaits.
+
     Raises:
-        ConfigurationError: the training had another budget, to which its schedule belongs, or its
-            gaits have another origin.
+        ConfigurationError: the training had another budget, to which its schedule belongs, or other
+            gaits.
         FileDamagedError: the results cannot be read.
     """
     path = folder / _RESULTS
@@ -162,25 +179,20 @@ def read_results(
         raise FileDamagedError(
             f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
         ) from error
-    check_budget(folder, kept, config)
-    if kept.get("origin", {}) != origin:
-        raise ConfigurationError(
-            f"the training in {str(folder)!r} had gaits of {kept.get('origin')}, not {origin};"
-            " choose another --out"
-        )
+    check_settings(folder, kept, expected)
     return walks
 
 
-def check_budget(folder: Path, kept: Mapping[str, Any], config: AblationConfig) -> None:
-    """Check the budget of a training.
+def check_settings(folder: Path, kept: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Check what all trainings of a table share.
 
     Raises:
-        ConfigurationError: the training has another budget.
+        ConfigurationError: the training has something else.
     """
-    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
+    other = {name: kept.get(name) for name, value in expected.items() if kept.get(name) != value}
     if other:
         raise ConfigurationError(
-            f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
+            f"the training in {str(folder)!r} had {other}, not {dict(expected)}; choose another"
             " --out"
         )
 
@@ -250,12 +262,12 @@ def table(
 def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
     """Sentence about the cells of a table."""
     seeds = [len(by_seed) for by_seed in found.values()]
-    told = "mean and 95 % interval over seeds"
+    text = "mean and 95 % interval over seeds"
     if max(seeds) == 1:
-        told = "values of one seed; small differences mean nothing, as seeds differ"
+        text = "values of one seed; small differences mean nothing, as seeds differ"
     elif min(seeds) == 1:
-        told += ", if a variant has several"
-    return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
+        text += ", if a variant has several"
+    return f"{text}; the largest return is {MAX_EPISODE_STEPS}"
 
 
 def cell(values: Sequence[float]) -> str:

@@ -30,8 +30,6 @@ class Config(UserPaths):
     """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
     """Folder for the benchmarks' results."""
-    record: Path | None = None
-    """File for the values of a policy for all directions, as of the scorecard."""
     measure: bool = True
     """Walk, run the benchmarks, and add their tables to the card."""
 
@@ -47,7 +45,6 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
-import math
 import re
 from contextlib import closing
 from functools import partial
@@ -56,7 +53,6 @@ from typing import Any
 from tensordict.utils import unravel_key
 
 from aslip.base.archive import as_json
-from aslip.base.interval import Interval
 from aslip.base.provenance import provenance
 from aslip.base.tables import markdown
 from aslip.base.writing import replacing
@@ -67,10 +63,11 @@ from aslip.training.environments import make_evaluation_env
 from aslip.training.run import write_text
 from aslip.transforms import ActionDelta
 from aslip.walking import evaluate, walk_table
-from benchmarks.flags import SWEEPS
 from benchmarks.paper import foot_placement, step_frequency, velocity_tracking
 from benchmarks.robustness import pushes, walking_quality
+from benchmarks.robustness.parameters import SWEEPS
 from benchmarks.scorecard import direction_targets
+from benchmarks.scorecard.record import describe
 
 _LEFT = "---"
 # flags of the training command that do not affect the policy
@@ -152,19 +149,16 @@ def training_section(about: dict[str, Any]) -> str:
 
 def interface_section(about: dict[str, Any]) -> str:
     """Section on observation, action and PD control."""
-    env = make_env(stack=about["stack"])
-    try:
+    with closing(make_env(stack=about["stack"])) as env:
         delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
         spec = env.full_observation_spec
-        baseline = "/".join(map(str, unravel_key(delta.baseline_key)))
-        rows, index = [], 0
-        for name in about["observation"]:
-            size = spec[tuple(name.split("/"))].shape[-1]
-            span = str(index) if size == 1 else f"{index}-{index + size - 1}"
-            rows.append([span, name, _ENTRIES[name]])
-            index += size
-    finally:
-        env.close()
+    baseline = "/".join(map(str, unravel_key(delta.baseline_key)))
+    rows, index = [], 0
+    for name in about["observation"]:
+        size = spec[tuple(name.split("/"))].shape[-1]
+        span = str(index) if size == 1 else f"{index}-{index + size - 1}"
+        rows.append([span, name, _ENTRIES[name]])
+        index += size
     gains = [
         [name, f"{stiffness:g}", f"{damping:g}", f"{limit:g}"]
         for name, stiffness, damping, limit in zip(
@@ -233,16 +227,8 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
 def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Targets of walks in all directions, tables of their benchmarks, and the limits."""
     out = config.out / config.name
-    settings = direction_targets.Config(policy=(policy,), out=out)
-    record = config.record and direction_targets.open_record(settings, config.record)
-    if record:
-        record.check(policy)
-    rows = direction_targets.main(settings)
-    if record and policy not in record:
-        none = {"mean": math.nan, "low": math.nan, "high": math.nan}
-        found = {row["name"]: row["found"]["interval"] or none for row in rows}
-        record.add(policy, {name: Interval.of_row(one) for name, one in found.items()})
-    folder = direction_targets.results_folder(out, policy)
+    direction_targets.main(direction_targets.Config(policy=(policy,), out=out))
+    folder = out / describe(policy)["name"]
     titles = {
         "Velocity": "tracking",
         "Sudden changes of the command": "command_changes",

@@ -78,6 +78,21 @@ def test_ctrl_c_has_its_usual_exit_status() -> None:
     assert info.value.code == 128 + signal.SIGINT
 
 
+@pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
+def test_user_errors_are_one_line(kind: type[Exception]) -> None:
+    with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():
+        raise kind("no such thing")
+    with pytest.raises(ZeroDivisionError), one_line_errors():
+        raise ZeroDivisionError
+
+
+def test_every_program_has_errors_of_one_line() -> None:
+    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (ROOT / d).rglob("*.py")]
+    programs = [text for text in scripts if "if __name__ ==" in text]
+    assert len(programs) >= 20
+    assert all("with one_line_errors():" in text for text in programs)
+
+
 # ---------------------------------------------------------------------- training
 
 

@@ -19,7 +19,6 @@ from aslip.base.command_line import command_line, preset_command_line
 from aslip.envs import standing_stack
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
-from benchmarks.paper import step_frequency
 from benchmarks.scorecard.learning_curves import report
 from benchmarks.scorecard.learning_record import read_record
 from docs import diagrams
@@ -32,11 +31,15 @@ LARGEST_README = 9000
 
 # numbers on the pages -> smaller numbers for tests
 _LITTLE = "total_steps=64, num_envs=8, samples=64, minibatch=32, eval_steps=5"
-_SMALLER = {"total_steps=300_000": _LITTLE, "range(100)": "range(10)"}
+_SMALLER = {
+    "total_steps=300_000": _LITTLE,
+    "range(100)": "range(10)",
+    "speeds=(0.5, 1.0)": "speeds=(0.5, 1.0), settle=0.3, walk=1.2",
+}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler", "ruff", "pyright"}
 # recipes that have presets
-_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS"}
+_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ablate": "TASKS"}
 
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=page_name)
@@ -78,11 +81,7 @@ def _record(path: Path) -> None:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if blocks(page.read_text(), "python")], ids=page_name
 )
-def test_the_python_blocks_of_a_page_run_in_order(
-    page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(step_frequency, "_SETTLE", 0.3)
-    monkeypatch.setattr(step_frequency, "_WALK", 1.2)
+def test_the_python_blocks_of_a_page_run_in_order(page: Path, folder: Path) -> None:
     code = _program(page)
     if "walk.mcap" in code and "Recorder(" not in code:
         _record(folder / "walk.mcap")

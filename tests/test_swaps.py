@@ -247,12 +247,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
     return train_once
 
 
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short settings of a benchmark: one second instead of a minute."""
-    times = {"_HOLD": 0.15, "_TRANSIENT": 0.03}  # long enough for a touchdown of the model
-    for name in ("_HOLD", "_TRANSIENT", "_BEFORE", "_AFTER", "_SETTLE", "_WALK"):
-        monkeypatch.setattr(velocity_tracking, name, times.get(name, 0.09))
+# one second instead of a minute, long enough for a touchdown of the model
+SHORT: dict[str, Any] = {"hold": 0.15, "transient": 0.03, "settle": 0.09, "walk": 0.09}
 
 
 def _rollout(make_env: MakeEnv, policy: Any, steps: int = 12) -> Any:
@@ -267,7 +263,7 @@ def _rollout(make_env: MakeEnv, policy: Any, steps: int = 12) -> Any:
 
 @every_training
 def test_an_example_trains_saves_loads_walks_and_is_measured(
-    train: Any, network: MakeActor | None, trained: Trained, short: None, tmp_path: Path
+    train: Any, network: MakeActor | None, trained: Trained, tmp_path: Path
 ) -> None:
     folder, make_env = trained(train)
     policy = aslip.load_policy(folder, network)
@@ -275,7 +271,7 @@ def test_an_example_trains_saves_loads_walks_and_is_measured(
     with closing(make_env(seed=0)) as env:
         walker = Walker(policy if network else folder, env)
         assert walker.step()["next", "reward"].isfinite().all()
-    config = velocity_tracking.Config(out=tmp_path, speeds=(0.5,))
+    config = velocity_tracking.Config(out=tmp_path, speeds=(0.5,), **SHORT)
     measured = velocity_tracking.main(config, policy if network else folder, make_env)
     assert [row["survived"] for row in measured["map"]] == [[True]]
     assert -1 < measured["map"][0]["mean"] < 2
@@ -345,7 +341,7 @@ def test_a_custom_motion_guides_the_policy(trained: Trained) -> None:
         Walker(folder)
 
 
-def test_a_robot_without_a_simulator_walks_and_is_measured(tmp_path: Path, short: None) -> None:
+def test_a_robot_without_a_simulator_walks_and_is_measured(tmp_path: Path) -> None:
     """Policy and controller give the actions of the recorded walk."""
     policy, library = aslip.load_policy("straight"), aslip.GaitLibrary.load()
     simulated = partial(aslip.make_env, base=BatchEnv, stack=robot_stack())
@@ -368,7 +364,7 @@ def test_a_robot_without_a_simulator_walks_and_is_measured(tmp_path: Path, short
         td = step_mdp(robot.step(td.set("motor_target", state.motor_target)))
         state, _ = controller.step(state, td["sensors"])
 
-    config = velocity_tracking.Config(out=tmp_path, speeds=(0.5,))
+    config = velocity_tracking.Config(out=tmp_path, speeds=(0.5,), **SHORT)
     (measured,) = velocity_tracking.main(config, "straight", make_env)["map"]
     assert measured["survived"] == [True]
     assert 0 < measured["mean"] < 1

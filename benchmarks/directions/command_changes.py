@@ -3,10 +3,9 @@
     python -m benchmarks.directions.command_changes --policy runs/ppo_directions
     python -m benchmarks.directions.command_changes --policy runs/ppo_directions --changes 10000
 
-Each command is uniform over the region of the library, and held for a random time from 0.75 to
-2.25 s; the command that the robot follows changes at limited rates, and may not reach it in that
-time. Robots that fall start again at a random command, so that every change counts. A change
-counts as one fall at most.
+Each command is uniform over the region of the library, and held for a random time; the command that
+the robot follows changes at limited rates, and may not reach it in that time. Robots that fall
+start again at a random command, so that every change counts. A change counts as one fall at most.
 """
 
 from __future__ import annotations
@@ -26,6 +25,8 @@ class Config(Directions):
     """Number of changes, over all robots."""
     robots: int = 50
     """Number of robots that walk side by side."""
+    hold: tuple[float, float] = (0.75, 2.25)
+    """Shortest and longest time for which a command is held [s]."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -50,40 +51,28 @@ from matplotlib.figure import Figure
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
-from aslip.base.tables import markdown
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import next_start, reset_walks, take_step
 from aslip.walking.record import commands_kept
-from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
+from benchmarks.common import Policies, Report, Subject, benchmark, table
 from benchmarks.directions.random_commands import AXES, random_commands
 
-_HOLD = 0.75, 2.25
-"""Shortest and longest time for which a command is held [s]."""
+COLUMNS = {
+    "policy": "{policy}",
+    "changes": "{changes}",
+    "falls": lambda row: str(len(row["falls"])),
+    "falls in 10 000 changes": "{rate:.0f}",
+}
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; return a row for each policy.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    subjects, library = load_with_library(config, policy, make_env)
-    rows = [fall_row(config, subject, library) for subject in subjects]
-    header = ["policy", "changes", "falls", "falls in 10 000 changes"]
-    lines = [
-        [row["policy"], str(row["changes"]), str(len(row["falls"])), f"{row['rate']:.0f}"]
-        for row in rows
-    ]
-    write_report(
-        config, policy, "command_changes", {"rows": rows}, markdown(header, lines), picture(rows[0])
-    )
-    return rows
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each policy."""
+    subjects = policies.load()
+    rows = [fall_row(config, subject, subjects[0].library) for subject in subjects]
+    return Report(rows, table(COLUMNS, rows), picture(rows[0]))
 
 
 def fall_row(config: Config, subject: Subject, library: GaitLibrary) -> dict[str, Any]:
@@ -102,7 +91,7 @@ def fall_row(config: Config, subject: Subject, library: GaitLibrary) -> dict[str
 
 def hold_steps(config: Config, changes: int) -> np.ndarray:
     """(changes + 1, n) random policy steps for which robots hold each command."""
-    low, high = (round(time / CASSIE.policy_period) for time in _HOLD)
+    low, high = (round(time / CASSIE.policy_period) for time in config.hold)
     random = np.random.default_rng(config.seed)
     return random.integers(low, high + 1, (changes + 1, config.robots))
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import Directions
+from benchmarks.flags import Directions, check_numbers
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,7 @@ class Config(Directions):
     def __post_init__(self) -> None:
         """Check the numbers."""
         super().__post_init__()
-        for name in ("radius", "speed", "duration"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+        check_numbers(self, "radius", "speed", "duration")
         if self.video is not None and self.video.suffix != ".mp4":
             raise ConfigurationError(
                 f"the name of a film must end in .mp4, got {str(self.video)!r}"
@@ -57,7 +55,6 @@ from matplotlib.figure import Figure
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
-from aslip.base.tables import markdown
 from aslip.control import Eight, PathFollower
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
@@ -65,45 +62,41 @@ from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film
 from aslip.walking import next_start, policy_steps, reset_walks, take_step
 from aslip.walking.record import commands_kept
-from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
+from benchmarks.common import MakeEnv, Policies, Policy, Report, Subject, benchmark, table
 
 _POINTS = 500  # number of points of the drawn path
 _STEPS_PER_FRAME = 2  # policy steps between frames of the film
 _LOOK = Look("follow", 480, 360)
 
 
+COLUMNS = {
+    "policy": "{policy}",
+    "walked [s]": lambda row: f"{row['time']:.1f}" + (" fell" if row["fell"] else ""),
+    "mean error, estimate [cm]": lambda row: f"{100 * row['estimate']:.1f}",
+    "largest [cm]": lambda row: f"{100 * row['estimate_most']:.1f}",
+    "mean error, truth [cm]": lambda row: f"{100 * row['truth']:.1f}",
+}
+
+
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; return a row for each policy.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    subjects, library = load_with_library(config, policy, make_env)
-    follower = PathFollower(Eight(config.radius), config.speed)
-    found = [walk_path(config, subject, library, follower) for subject in subjects]
-    rows = [row for row, _, _ in found]
-    lines = [
-        [
-            row["policy"],
-            f"{row['time']:.1f}" + (" fell" if row["fell"] else ""),
-            *(f"{100 * row[key]:.1f}" for key in ("estimate", "estimate_most", "truth")),
-        ]
-        for row in rows
-    ]
-    header = [
-        "policy", "walked [s]", "mean error, estimate [cm]", "largest [cm]",
-        "mean error, truth [cm]",
-    ]  # fmt: skip
-    figure = picture(follower, found[0][1])
-    write_report(config, policy, "figure_of_eight", {"rows": rows}, markdown(header, lines), figure)
+    """Measure, print and draw, then make the film; return a row for each policy."""
+    rows, frames = measure(config, policy, make_env)
     if config.video is not None:
-        rate = 1 / (_STEPS_PER_FRAME * CASSIE.policy_period)
-        make_film(config.video, found[0][2], rate, _LOOK)
+        make_film(config.video, frames, 1 / (_STEPS_PER_FRAME * CASSIE.policy_period), _LOOK)
     return rows
+
+
+@benchmark
+def measure(config: Config, policies: Policies) -> Report[tuple[list[dict[str, Any]], list[Frame]]]:
+    """Walk; the result is a row for each policy, and the frames of the first one's film."""
+    subjects = policies.load()
+    follower = PathFollower(Eight(config.radius), config.speed)
+    found = [walk_path(config, one, subjects[0].library, follower) for one in subjects]
+    rows, places, frames = zip(*found, strict=True)
+    figure = picture(follower, places[0])
+    return Report(([*rows], frames[0]), table(COLUMNS, rows), figure, {"rows": rows})
 
 
 def walk_path(
@@ -115,21 +108,21 @@ def walk_path(
         Numbers of the walk; positions (m, 2, 2), estimated and true, before each policy step [m];
         and frames of the film, none without one.
     """
-    start, way, true_way = (config.speed, 0.0, 0.0), 0.0, 0.0
+    start, along, true_along = (config.speed, 0.0, 0.0), 0.0, 0.0
     places, distances, frames, fell = [], [], [], False
     with contextlib.closing(subject.walking_env(config, 1)) as env, commands_kept(env):
         td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
         for _ in tqdm(range(policy_steps(config.duration)), unit="step", leave=False):
             heading = float(cast("torch.Tensor", td["heading"]))
             estimated, true = (world_pose(td, group) for group in ("odometry", "true_odometry"))
-            command, way = follower.command(estimated, heading, way)
-            true_way += follower.errors(true, true_way)[0]
+            command, along = follower.command(estimated, heading, along)
+            true_along += follower.errors(true, true_along)[0]
             td["command"] = library.nearest(torch.tensor([command]))
             if config.video is not None and len(places) % _STEPS_PER_FRAME == 0:
                 frames.append(Frame.of(td))
             td = take_step(subject.policy, env, td)
             places.append([estimated[:2], true[:2]])
-            nearest = (estimated, way), (true, true_way)
+            nearest = (estimated, along), (true, true_along)
             distances.append([math.hypot(*follower.errors(*one)[:2]) for one in nearest])
             if fell := bool(td["next", "terminated"]):
                 break
@@ -170,7 +163,7 @@ def picture(follower: PathFollower, places: np.ndarray) -> Figure:
     axes = figure.subplots()
     assert isinstance(follower.path, Eight)
     length = 4 * math.pi * follower.path.radius
-    path = np.array([follower.path.at(way)[0][:2] for way in np.linspace(0, length, _POINTS)])
+    path = np.array([follower.path.at(along)[0][:2] for along in np.linspace(0, length, _POINTS)])
     axes.plot(*path.T, "k--", lw=1, label="path")
     axes.plot(*places[:, 0].T, color="tab:blue", lw=1, label="estimate")
     axes.plot(*places[:, 1].T, color="tab:red", lw=1, label="truth")

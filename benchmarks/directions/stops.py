@@ -3,13 +3,13 @@
     python -m benchmarks.directions.stops --policy runs/ppo_directions
     python -m benchmarks.directions.stops --policy runs/seed0 runs/seed1 --walks 32
 
-A robot walks at a command for 4 s and a part of a stride, is told to stand, stands for a minute,
-and walks on at the same command. Commands are straight speeds, then random ones over the region of
-the library; the parts of a stride are spread evenly, so that wishes to stand come at all phases.
-Forces and torques are sampled at 2 kHz. The feet count as planted from the time at which both carry
-a force for half a second; drift, turn, power and feet that lose the ground are measured from 4 s
-after the wish on, when the robot should have come to rest. A foot that is in the air by then counts
-as lifted.
+A robot walks at a command for some strides and a part of one, gets the stand command, stands for a
+minute, and walks on at the same command. Commands are straight speeds, then random ones over the
+region of the library; the parts of a stride are spread evenly, so that stand commands come at all
+phases. Forces and torques are sampled at 2 kHz. The feet count as planted from the time at which
+both carry a force for half a second; drift, turn, power and feet that lose the ground are measured
+from 4 s after the stand command on, when the robot should have come to rest. A foot that is in the
+air by then counts as lifted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import Directions
+from benchmarks.flags import Directions, check_numbers
 
 
 @dataclass(frozen=True)
@@ -32,18 +32,21 @@ class Config(Directions):
     """Number of walks; those after the forward speeds have random commands."""
     duration: float = 60.0
     """Time of standing that is measured [s]."""
+    before: float = 4.0
+    """Time of walking before the stand command [s]."""
+    rest: float = 4.0
+    """Time from the stand command until the measurement [s]."""
+    after: float = 4.0
+    """Time of walking after standing [s]."""
     stack: str = "standing"
     """Stack with stop and start in which policies walk, whatever the one they were trained in."""
 
     def __post_init__(self) -> None:
         """Check number of walks and duration."""
         super().__post_init__()
-        if self.walks < 1:
-            raise ConfigurationError(f"walks must be 1 or more, got {self.walks}")
+        check_numbers(self, "duration", walks=1, duration=0.5)
         if not all(map(math.isfinite, self.speeds)):
             raise ConfigurationError(f"speeds must be finite, got {self.speeds}")
-        if not 0.5 <= self.duration < math.inf:
-            raise ConfigurationError(f"duration must be 0.5 s or more, got {self.duration}")
 
 
 if __name__ == "__main__":
@@ -61,58 +64,51 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import aslip
-from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps, record_substeps
 from aslip.walking.metrics import drift, lifted_feet, mechanical_power, planting_time, turned
-from benchmarks.common import (
-    MakeEnv,
-    Policy,
-    Subject,
-    chosen_library,
-    load_subjects,
-    write_report,
-)
+from benchmarks.common import Policies, Report, Subject, benchmark, chosen_library, table
 from benchmarks.directions.random_commands import random_commands
 
-# durations of walking, of coming to rest, and of walking on [s]
-_WALK, _REST, _GO_ON = 4.0, 4.0, 4.0
 _TICK: Final = CASSIE.physics_timestep
 _TRACE = 0.05  # time between points of the picture [s]
 STAGES = ("walk", "stop", "stand", "start")
 """Stages of a walk, in which a robot may fall."""
 
+COLUMNS = {
+    "policy": "{policy}",
+    "walks": "{count}",
+    f"falls: {', '.join(STAGES)}": lambda row: ", ".join(map(str, row["falls"].values())),
+    "never planted": "{unplanted}",
+    "planted after [s]": "{planted:.2f} ({planted_most:.2f})",
+    "drift [cm]": lambda row: f"{100 * row['drift']:.1f} ({100 * row['drift_most']:.1f})",
+    "turn [deg]": lambda row: (
+        f"{math.degrees(row['turn']):.2f} ({math.degrees(row['turn_most']):.2f})"
+    ),
+    "feet lifted": "{lifted:.1f} ({lifted_most:.1f})",
+    "power [W]": "{power:.0f} ({power_most:.0f})",
+}
+"""Means, and largest values in parentheses."""
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; return a row for each policy.
 
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    given = chosen_library(config)
-    in_stack = partial(aslip.make_env, stack=config.stack, library=given)
-    subjects = load_subjects(config, policy, make_env or in_stack, given)
-    library = subjects[0].find_library()
-    chosen = commands(config, library)
-    later = delays(library, chosen)
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each policy."""
+    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen_library(config))
+    subjects = policies.load(in_stack)
+    chosen = commands(config, subjects[0].library)
+    later = delays(subjects[0].library, chosen)
+    walks = [*zip(seeds(config), chosen, later, strict=True)]
     rows, traces = [], []
     for subject in subjects:
-        walks = [
-            measure(replace(config, seed=seed), subject, *each)
-            for seed, *each in tqdm(
-                [*zip(seeds(config), chosen, later, strict=True)], unit="walk", leave=False
-            )
+        found = [
+            measure(replace(config, seed=seed), subject, command, delay)
+            for seed, command, delay in tqdm(walks, unit="walk", leave=False)
         ]
-        traces.append([walk.pop("traces") for walk in walks])
-        rows.append({"policy": subject.name, **summary(walks), "walks": walks})
-    figure = picture(rows[0]["walks"], traces[0])
-    write_report(config, policy, "stops", {"rows": rows}, table(rows), figure)
-    return rows
+        traces.append([walk.pop("traces") for walk in found])
+        rows.append({"policy": subject.name, **summary(found), "walks": found})
+    return Report(rows, table(COLUMNS, rows), picture(rows[0]["walks"], traces[0]))
 
 
 def commands(config: Config, library: GaitLibrary) -> np.ndarray:
@@ -130,7 +126,7 @@ def seeds(config: Config) -> list[int]:
 
 
 def delays(library: GaitLibrary, command: np.ndarray) -> np.ndarray:
-    """Times (n,) [s] by which wishes to stand come later, from none to nearly a stride.
+    """Times (n,) [s] by which stand commands come later, from none to nearly a stride.
 
     Args:
         library: the gaits.
@@ -147,10 +143,10 @@ def measure(config: Config, subject: Subject, command: np.ndarray, delay: float)
         config: the settings.
         subject: policy.
         command: (c,) command before and after standing.
-        delay: time by which the wish to stand comes later [s].
+        delay: time by which the stand command comes later [s].
     """
     torch.set_num_threads(1)
-    lasts = (_WALK + delay, _REST, config.duration, _GO_ON)
+    lasts = (config.before + delay, config.rest, config.duration, config.after)
     steps = [round(time / CASSIE.policy_period) for time in lasts]
     ends = np.cumsum(steps)
     stand = np.zeros(ends[-1])
@@ -194,26 +190,6 @@ def summary(walks: Sequence[dict[str, Any]]) -> dict[str, Any]:
         row[name] = float(np.mean(values)) if values else math.nan
         row[f"{name}_most"] = float(np.max(values)) if values else math.nan
     return row
-
-
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Table with a row for each policy: means, and largest values in parentheses."""
-    header = [
-        "policy", "walks", f"falls: {', '.join(STAGES)}", "never planted", "planted after [s]",
-        "drift [cm]", "turn [deg]", "feet lifted", "power [W]",
-    ]  # fmt: skip
-    scales = {"planted": (1, 2), "drift": (100, 1), "turn": (math.degrees(1), 2), "lifted": (1, 1)}
-    scales["power"] = (1, 0)
-    lines = []
-    for row in rows:
-        numbers = [
-            f"{scale * row[name]:.{digits}f} ({scale * row[f'{name}_most']:.{digits}f})"
-            for name, (scale, digits) in scales.items()
-        ]
-        falls = ", ".join(str(count) for count in row["falls"].values())
-        never = str(row["unplanted"])
-        lines.append([row["policy"], str(row["count"]), falls, never, *numbers])
-    return markdown(header, lines)
 
 
 def picture(walks: Sequence[dict[str, Any]], traces: Sequence[Any]) -> Figure:

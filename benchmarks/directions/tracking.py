@@ -3,8 +3,8 @@
     python -m benchmarks.directions.tracking --policy runs/ppo_directions
     python -m benchmarks.directions.tracking --policy runs/seed0 runs/seed1 --commands 1000
 
-Commands are uniform over the region of the library, without a dead zone. Each is held for 8 s.
-Means are taken over the last 4 s, errors over walks without a fall, 95 % intervals over commands.
+Commands are uniform over the region of the library, without a dead zone, one for each walk. Means
+exclude the time of settling; errors are over walks without a fall, 95 % intervals over commands.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import Directions
+from aslip.errors import one_line_errors
+from benchmarks.flags import Directions, check_numbers
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,15 @@ class Config(Directions):
 
     commands: int = 200
     """Number of random commands."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 4.0
+    """Duration of the measurement [s]."""
 
     def __post_init__(self) -> None:
         """Check the number of commands."""
         super().__post_init__()
-        if self.commands < 1:
-            raise ConfigurationError(f"commands must be 1 or more, got {self.commands}")
+        check_numbers(self, commands=1)
 
 
 if __name__ == "__main__":
@@ -40,65 +43,45 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.base.interval import Interval
-from aslip.base.tables import markdown
 from aslip.robot import CASSIE
 from aslip.walking.metrics import mean_twist, tracking_errors
-from benchmarks.common import MakeEnv, Policy, load_with_library, record_subject, write_report
+from benchmarks.common import Policies, Report, benchmark, record_subject, table
 from benchmarks.directions.random_commands import AXES, random_commands
 
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 4.0
+COLUMNS = {
+    "policy": "{policy}",
+    "falls": "{falls} of {count}",
+    **{
+        header: lambda row, name=name: Interval.of_row(row[name]).text(3)
+        for header, name in {
+            "speed: mean error [m/s]": "speed",
+            "95 % [m/s]": "speed_p95",
+            "yaw rate: mean error [rad/s]": "turn",
+            "95 % [rad/s]": "turn_p95",
+        }.items()
+    },
+}
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; return a row for each policy.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    subjects, library = load_with_library(config, policy, make_env)
-    command = random_commands(library, config.commands, config.seed)
-    first, steps = (round(t / CASSIE.policy_period) for t in (_SETTLE, _SETTLE + _WALK))
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each policy."""
+    subjects = policies.load()
+    command = random_commands(subjects[0].library, config.commands, config.seed)
+    times = config.settle, config.settle + config.walk
+    first, steps = (round(time / CASSIE.policy_period) for time in times)
     rows, twists = [], []
     for subject in subjects:
         walks = record_subject(config, subject, np.tile(command, (steps, 1, 1)))
         twist = mean_twist(
             walks.pelvis_velocity[first:], walks.pelvis_orientation[first:], command[:, 2]
         )
-        falls = int((~walks.survived).sum())
-        errors = tracking_errors(twist, command)
-        rows.append(
-            {"policy": subject.name, "falls": falls, **{k: vars(one) for k, one in errors.items()}}
-        )
-        twists.append(twist)
-    numbers = {
-        "rows": rows, "command": command.tolist(), "twist": [one.tolist() for one in twists]
-    }  # fmt: skip
-    figure = picture(command, twists[0])
-    write_report(config, policy, "tracking", numbers, table(rows, len(command)), figure)
-    return rows
-
-
-def table(rows: list[dict[str, Any]], count: int) -> str:
-    """Table of errors, a row for each policy."""
-    keys = ("speed", "speed_p95", "turn", "turn_p95")
-    lines = [
-        [
-            row["policy"],
-            f"{row['falls']} of {count}",
-            *(Interval.of_row(row[key]).text(3) for key in keys),
-        ]
-        for row in rows
-    ]
-    header = [
-        "policy", "falls", "speed: mean error [m/s]", "95 % [m/s]",
-        "yaw rate: mean error [rad/s]", "95 % [rad/s]",
-    ]  # fmt: skip
-    return markdown(header, lines)
+        counts = {"falls": int((~walks.survived).sum()), "count": len(command)}
+        errors = {name: vars(one) for name, one in tracking_errors(twist, command).items()}
+        rows.append({"policy": subject.name, **counts, **errors})
+        twists.append(twist.tolist())
+    numbers = {"rows": rows, "command": command.tolist(), "twist": twists}
+    return Report(rows, table(COLUMNS, rows), picture(command, np.array(twists[0])), numbers)
 
 
 def picture(command: np.ndarray, twist: np.ndarray) -> Figure:

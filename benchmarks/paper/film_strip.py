@@ -1,8 +1,7 @@
 """Film strip of a stride: the reduced-order model above the robot at the same phases.
 
     python -m benchmarks.paper.film_strip --speed 1.0                # `straight`, as in the paper
-    python -m benchmarks.paper.film_strip --policy runs/ppo_aslip --overlay
-    python -m benchmarks.paper.film_strip --reference --out docs/images/reference.png
+    python -m benchmarks.paper.film_strip --policy runs/ppo_aslip
 
 The upper strip shows body and spring legs of the actuated SLIP model, the lower strip the robot at
 the same instants.
@@ -18,6 +17,7 @@ from pathlib import Path
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import check_numbers
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,6 @@ class Config(UserPaths):
 
     policy: str = "straight"
     """Name of a shipped policy, its file, or the folder of a run."""
-    reference: bool = False
-    """Draw the robot on the reference motion, without physics and policy."""
     speed: float = 1.0
     """Commanded speed [m/s]."""
     out: Path = Path("runs/film_strip.png")
@@ -38,8 +36,6 @@ class Config(UserPaths):
     """Duration of the walk before the drawn stride [s]."""
     camera: str = "side"
     """Name of the camera: side, follow or front."""
-    overlay: bool = False
-    """Draw the reduced-order model over the robot, too."""
     width: int = 320
     """Width of one frame [pixels]."""
     height: int = 400
@@ -48,8 +44,7 @@ class Config(UserPaths):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        if self.frames < 1:
-            raise ConfigurationError(f"frames must be 1 or more, got {self.frames}")
+        check_numbers(self, frames=1)
         if not 0 <= self.settle <= 10:
             raise ConfigurationError(f"settle must be 0 to 10 s, got {self.settle}")
 
@@ -68,7 +63,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from tensordict import TensorDict
 from tqdm import tqdm
 
 import aslip
@@ -105,32 +99,12 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
     library = aslip.GaitLibrary.load()
     (speed,) = library.check_command(config.speed)
     wanted = np.arange(config.frames) / config.frames
-    if config.reference:
-        stride = kinematic_stride(library, speed, wanted)
-    else:
-        subject = Subject.load(policy or config.policy, make_env)
-        with closing(subject.walking_env(Common(), 1, num_threads=1)) as env:
-            walker = Walker(subject.policy, env, library=library, speed=speed)
-            stride = simulated_stride(walker, wanted, config.settle)
+    subject = Subject.load(policy or config.policy, make_env)
+    with closing(subject.walking_env(Common(), 1, num_threads=1)) as env:
+        walker = Walker(subject.policy, env, library=library, speed=speed)
+        stride = simulated_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)
-
-
-def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray) -> Stride:
-    """Stride of the robot on the reference at (n,) phases."""
-    column = torch.from_numpy(phase)[:, None]
-    speeds = torch.full_like(column, speed)
-    qpos, _ = library.initial_state(column, speeds)
-    # the library stores motion relative to uniform motion
-    qpos[:, 0] += column[:, 0] * speed * stride_duration(library, speed)
-    instants = TensorDict(
-        reference=library.lookup(column, speeds).to_tensordict(),
-        truth=TensorDict(
-            pelvis_position=qpos[:, :3], pelvis_orientation=qpos[:, 3:7], batch_size=len(phase)
-        ),
-        batch_size=len(phase),
-    )
-    return Stride(phase, qpos.numpy(), [Ghost.of(instants, i) for i in range(len(phase))])
 
 
 def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Stride:
@@ -145,7 +119,7 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
         ConfigurationError: the robot fell before the end of the stride.
     """
     (speed,) = numbers(walker.command)
-    duration = stride_duration(walker.library, speed)
+    duration = walker.library.stride(torch.tensor([[speed]], dtype=torch.float64)).item()
     first = np.ceil(settle / duration)
     steps = np.rint((first + wanted) * duration / CASSIE.policy_period).astype(int)
     phases, path, ghosts = [], [], []
@@ -164,18 +138,12 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
     return Stride(np.array(phases), np.stack(path), ghosts)
 
 
-def stride_duration(library: aslip.GaitLibrary, speed: float) -> float:
-    """Duration of a stride [s]."""
-    return float(library.stride(torch.tensor([[speed]], dtype=torch.float64)))
-
-
 def draw(stride: Stride, config: Config) -> Figure:
     """Draw two film strips: the reduced-order model, and the robot below it."""
     look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
     count = len(stride.phase)
     rom = render_frames(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)
-    overlay = stride.ghosts if config.overlay else None
-    robot = render_frames(stride.qpos, ghosts=overlay, supersampling=2, **look)
+    robot = render_frames(stride.qpos, supersampling=2, **look)
     # software rendering takes seconds per picture
     drawn = tqdm(itertools.chain(rom, robot), total=2 * count, unit="picture", desc="drawing")
     pictures = np.stack(list(drawn))

@@ -2,9 +2,8 @@
 
     python -m benchmarks.paper.foot_placement                  # the policy `straight`
     python -m benchmarks.paper.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.paper.foot_placement --log walk.mcap  # a log at one speed
 
-At each speed, 15 consecutive footsteps of the settled walk are measured. The ideal position of each
+At each speed, consecutive footsteps of the settled walk are measured. The ideal position of each
 is the other foot's actual position plus the step of the reduced-order model. The position of a
 footstep is the sole centre at mid-stance.
 
@@ -16,12 +15,11 @@ precise; both stand beside the measured errors.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
 from benchmarks.flags import WithLibrary
 
 PUBLISHED: Final = MappingProxyType(
@@ -51,8 +49,12 @@ class Config(WithLibrary):
 
     speeds: tuple[float, ...] = tuple(PUBLISHED)
     """Commanded speeds [m/s]."""
-    log: Path | None = None
-    """Log of a walk at one commanded speed, to measure instead of a policy."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 12.0
+    """Duration of the measurement [s]."""
+    footsteps: int = 15
+    """Number of footsteps that are measured."""
 
 
 if __name__ == "__main__":
@@ -66,105 +68,62 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.base.tables import markdown
-from aslip.library import Command, GaitLibrary
+from aslip.base.interval import Interval
+from aslip.library import Command
 from aslip.library.footholds import Footholds
-from aslip.log import read
 from aslip.robot import CASSIE, SIDES
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement, footsteps, placement
 from benchmarks.common import (
-    Interval,
-    MakeEnv,
-    Policy,
+    Policies,
+    Report,
+    benchmark,
     constant_walks,
-    load_library,
-    load_with_library,
-    logged_walk,
     shortest_swing,
-    write_report,
+    table,
 )
 
-_FOOTSTEPS = 15
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 12.0
+Placements = dict[float, list[Placement]]
+"""Commanded speed [m/s] -> placements of all policies."""
+
+COLUMNS = {
+    "command [m/s]": lambda row: str(round(row["speed"], 3)),
+    "error [cm]": lambda row: Interval.of_row(row).text(1, 100),
+    "std [cm]": lambda row: f"{100 * row['std']:.1f}",
+    "forward [cm]": lambda row: f"{100 * row['forward']:+.1f}",
+    "outward [cm]": lambda row: f"{100 * row['outward']:+.1f}",
+    "width [cm]": lambda row: f"{100 * row['width']:.1f}",
+    "survived": "{survived} of {policies}",
+    "published [cm]": lambda row: (
+        "" if row["published"] is None else f"{100 * row['published']:.1f}"
+    ),
+    "released policies [cm]": lambda row: ", ".join(f"{100 * e:.1f}" for e in row["released"]),
+}
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> dict[float, list[Placement]]:
-    """Measure, print and draw; returns the placements of all policies at each speed.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-
-    Raises:
-        ConfigurationError: the log has several commanded speeds, is of a walk that is not straight
-            ahead, is too short, or its robot followed other gaits.
-    """
-    source: dict[str, Any] = {}
-    if config.log is not None:
-        walk = logged_walk(config.log)
-        speeds = np.unique(walk.speed)
-        if len(speeds) != 1:
-            raise ConfigurationError(
-                f"{str(config.log)!r} has {len(speeds)} commanded speeds, the benchmark needs one:"
-                " record with recipes/walk.py --command 1.0"
-            )
-        speed = float(speeds[0])
-        source = {"policies": [], "log": str(config.log)}
-        footholds = Footholds(_logged_library(config, config.log, walk))
-        found = {speed: [walk_placement(walk, 0, speed, footholds)]}
-        if not len(found[speed][0].error):
-            raise ConfigurationError(
-                f"{str(config.log)!r} lasts {len(walk.speed) * CASSIE.policy_period:.1f} s, and"
-                f" footsteps count after {_SETTLE:g} s; record {_SETTLE + _WALK:g} s"
-            )
-    else:
-        subjects, library = load_with_library(config, policy, make_env)
-        footholds = Footholds(library)
-        walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
-        found = {
-            speed: [walk_placement(walk, i, speed, footholds) for walk in walks]
-            for i, speed in enumerate(config.speeds)
-        }
+@benchmark
+def main(config: Config, policies: Policies) -> Report[Placements]:
+    """Measure and draw; the result is the placements of all policies at each speed."""
+    subjects = policies.load()
+    footholds = Footholds(subjects[0].library)
+    walks = constant_walks(config, subjects, config.speeds, config.settle + config.walk)
+    found = {
+        speed: [walk_placement(config, walk, i, speed, footholds) for walk in walks]
+        for i, speed in enumerate(config.speeds)
+    }
+    rows = [numbers(speed, placements) for speed, placements in found.items()]
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
-    write_report(
-        config, policy, "foot_placement", {**source, **numbers(found)}, table(found), figure
-    )
-    return found
+    return Report(found, table(COLUMNS, rows), figure, {"rows": rows})
 
 
-def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
-    """Gaits that a logged robot followed.
-
-    Raises:
-        ConfigurationError: the log tells that it followed others.
-    """
-    named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
-    library = load_library(named)
-    followed = read(log).metadata.get("gaits_sha256") or library.sha256
-    # the paper's baseline has a library of its own
-    if followed not in (library.sha256, load_library("single_reference").sha256):
-        raise ConfigurationError(
-            f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
-            f" {named!r} have {library.sha256[:12]}; give their file with --library"
-        )
-    return library
-
-
-def recorded_steps() -> int:
-    """Policy steps of a walk whose footsteps are measured."""
-    return round((_SETTLE + _WALK) / CASSIE.policy_period)
-
-
-def walk_placement(walk: Walks, index: int, command: Command, footholds: Footholds) -> Placement:
+def walk_placement(
+    config: Config, walk: Walks, index: int, command: Command, footholds: Footholds
+) -> Placement:
     """Placement of the footsteps of one settled walk; a single NaN after a fall.
 
     Args:
-        walk: walks of `recorded_steps`.
+        config: the settings.
+        walk: walks.
         index: index of the walk.
         command: its command.
         footholds: steps of the model.
@@ -184,67 +143,27 @@ def walk_placement(walk: Walks, index: int, command: Command, footholds: Foothol
         ),
         step,
     )
-    first = round(2 * _SETTLE / float(footholds.stride(command)))
-    rows = slice(first, first + _FOOTSTEPS)
+    first = round(2 * config.settle / float(footholds.stride(command)))
+    rows = slice(first, first + config.footsteps)
     return Placement(found.side[rows], found.offset[rows], found.width[rows])
 
 
-def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
-    """Rows of the report, one for each speed."""
-    rows = []
-    for speed, every in by_speed.items():
-        placements = without_falls(every)
-        interval = Interval.of([p.error for p in placements])
-        sides = {
-            f"{side}_{axis}": _mean(np.mean, [p.offset[p.side == i, k] for p in placements])
-            for i, side in enumerate(SIDES)
-            for k, axis in enumerate("xy")
-        }
-        rows.append(
-            {
-                "speed": speed,
-                **vars(interval),
-                "std": _mean(np.std, [p.error for p in placements]),
-                "outward": _mean(np.mean, [p.outward for p in placements]),
-                "footsteps": sum(len(p.error) for p in placements),
-                "survived": len(placements),
-                "policies": len(every),
-                "published": published_error(speed),
-                "released": released_errors(speed),
-                **sides,
-            }
-        )
-    return {"rows": rows}
-
-
-def table(by_speed: dict[float, list[Placement]]) -> str:
-    """Table of errors, a row for each speed."""
-    header = [
-        "command [m/s]", "error [cm]", "std [cm]", "forward [cm]", "outward [cm]", "width [cm]",
-        "survived", "published [cm]", "released policies [cm]",
-    ]  # fmt: skip
-    rows = []
-    for speed, every in by_speed.items():
-        placements = without_falls(every)
-        error = Interval.of([p.error for p in placements])
-        forward = Interval.of([p.offset[:, 0] for p in placements])
-        outward = Interval.of([p.outward for p in placements])
-        width = Interval.of([p.width for p in placements])
-        theirs = published_error(speed)
-        rows.append(
-            [
-                str(round(speed, 3)),
-                error.text(1, 100),
-                f"{100 * _mean(np.std, [p.error for p in placements]):.1f}",
-                f"{100 * forward.mean:+.1f}",
-                f"{100 * outward.mean:+.1f}",
-                f"{100 * width.mean:.1f}",
-                f"{len(placements)} of {len(every)}",
-                f"{100 * theirs:.1f}" if theirs is not None else "",
-                ", ".join(f"{100 * error:.1f}" for error in released_errors(speed)),
-            ]
-        )
-    return markdown(header, rows)
+def numbers(speed: float, every: Sequence[Placement]) -> dict[str, Any]:
+    """Row of the report for one speed, over the policies without a fall."""
+    placements = without_falls(every)
+    return {
+        "speed": speed,
+        **vars(Interval.of([p.error for p in placements])),
+        "std": _mean(np.std, [p.error for p in placements]),
+        "forward": _mean(np.mean, [p.offset[:, 0] for p in placements]),
+        "outward": _mean(np.mean, [p.outward for p in placements]),
+        "width": _mean(np.mean, [p.width for p in placements]),
+        "footsteps": sum(len(p.error) for p in placements),
+        "survived": len(placements),
+        "policies": len(every),
+        "published": published_error(speed),
+        "released": released_errors(speed),
+    }
 
 
 def without_falls(placements: Sequence[Placement]) -> list[Placement]:

@@ -1,8 +1,9 @@
 """Vertical ground force over a stride: robot, reduced-order model and baseline.
 
     python -m benchmarks.paper.ground_force  # the policy `straight`
-    python -m benchmarks.paper.ground_force --paper runs/paper0 --baseline runs/baseline0
+    python -m benchmarks.paper.ground_force --policy ASLIP=runs/default-{1,2} baseline=runs/b-1
 
+Each policy is a method of its own; `name=` before several policies makes them seeds of one method.
 The paper's figure has 0, 1 and 2 m/s. Forces are sampled by the physics at 2 kHz. Spring-mass
 walking has two humps per stance; walking at a constant body height has one. The dip ratio is the
 lowest force between the humps over the peak of the lower hump, after two passes of a 30 ms moving
@@ -17,16 +18,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
-from aslip.errors import one_line_errors
-from benchmarks.flags import Compared
+from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
-class Config(Compared):
+class Config(Common):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded speeds [m/s]."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 8.0
+    """Duration of the measurement [s]."""
 
 
 if __name__ == "__main__":
@@ -37,7 +42,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from itertools import chain
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -55,27 +59,16 @@ from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
 from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
 from benchmarks.common import (
-    MakeEnv,
-    Policy,
+    Policies,
+    Report,
     Subject,
-    check_straight,
-    load_subjects,
+    benchmark,
     nearest_gait,
-    write_report,
 )
-
-METHODS: Final = MappingProxyType(
-    {"policy": "ASLIP", "paper": "ASLIP, paper's settings", "baseline": "single reference"}
-)
-"""Kind of policies, as a setting of `Config` -> its method in tables and pictures."""
 
 VERTICAL: Final = (-4, -1)
 """Columns of both feet's vertical force in `watched`."""
 
-_COLORS = {"policy": "tab:red", "paper": "tab:green", "baseline": "tab:blue"}
-
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
 # smallest number of stances of a foot with which a robot counts as stepping
 _LEAST_STANCES = 3
@@ -91,31 +84,19 @@ class Curve:
     """(k,) standard deviation over strides [N]."""
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each method and speed.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each method, policy and speed.
 
     Raises:
         ConfigurationError: a policy follows gaits in all directions.
     """
-    check_straight([*(config.policy if policy is None else [policy]), *config.paper])
+    methods = policies.methods()
+    check_straight([subject for subjects in methods.values() for subject in subjects])
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
-    kinds = {
-        "policy": load_subjects(config, policy, make_env),
-        "paper": [*map(Subject.load, config.paper)],
-        "baseline": [*map(Subject.load, config.baseline)],
-    }
-    runs = [
-        (METHODS[k], one, v) for k, ones in kinds.items() for one in ones for v in config.speeds
-    ]
+    runs = [(name, one, v) for name, ones in methods.items() for one in ones for v in config.speeds]
     for method, subject, speed in tqdm(runs, unit="walk", leave=False):
         force = vertical_forces(config, library, subject, speed)
         rows.append({"method": method, "policy": subject.name, "speed": speed, **profile(force)})
@@ -124,9 +105,21 @@ def main(
     for speed in config.speeds:
         gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
-    figure = picture(config, curves, library)
-    write_report(config, policy, "ground_force", {"rows": rows}, table(rows), figure)
-    return rows
+    return Report(rows, table(rows), picture(config, curves, library))
+
+
+def check_straight(subjects: Sequence[Subject]) -> None:
+    """Check that policies follow the paper's gaits, straight ahead; modules count as such.
+
+    Raises:
+        ConfigurationError: one follows gaits in all directions.
+    """
+    for subject in subjects:
+        if subject.library.command_size > 1:
+            raise ConfigurationError(
+                f"the benchmark is about the paper's gaits, straight ahead, and {subject.name!r}"
+                " follows gaits in all directions; --policy straight is measured by default"
+            )
 
 
 def profile(force: np.ndarray | None) -> dict[str, Any]:
@@ -152,11 +145,11 @@ def vertical_forces(
     with closing(subject.walking_env(config, 1, num_threads=1)) as env:
         walker = Walker(subject.policy, env, library=library, speed=speed)
         env.base_env.watch(0)
-        while walker.time < _SETTLE + _WALK - CASSIE.policy_period / 2:
+        while walker.time < config.settle + config.walk - CASSIE.policy_period / 2:
             walker.step()
             if walker.fallen:
                 return None
-            if walker.time > _SETTLE:
+            if walker.time > config.settle:
                 parts.append(env.base_env.watched[:, VERTICAL].copy())
     assert len(parts[0]) == CASSIE.substeps
     return np.concatenate(parts)
@@ -241,8 +234,8 @@ def picture(
         gait = nearest_gait(library, speed)
         model = model_force(gait)
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
-        for kind, method in METHODS.items():
-            color = _COLORS[kind]
+        for k, method in enumerate(dict.fromkeys(method for method, _ in curves)):
+            color = f"C{k}"
             found = curves.get((method, speed), ())
             for i, one in enumerate(found):
                 style: dict[str, Any] = {} if len(found) == 1 else {"lw": 0.8, "alpha": 0.7}

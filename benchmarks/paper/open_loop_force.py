@@ -14,7 +14,8 @@ from pathlib import Path
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import one_line_errors
+from benchmarks.flags import check_numbers
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,7 @@ class Config(UserPaths):
     def __post_init__(self) -> None:
         """Check the numbers."""
         super().__post_init__()
-        if self.phases < 1 or self.steps < 1:
-            raise ConfigurationError(
-                f"phases and steps must be 1 or more, got {self.phases} and {self.steps}"
-            )
+        check_numbers(self, phases=1, steps=1)
 
 
 if __name__ == "__main__":
@@ -54,13 +52,18 @@ from scipy.ndimage import uniform_filter1d
 from tensordict import TensorDict
 
 import aslip
-from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking.metrics.force import SMOOTHING
-from benchmarks.common import nearest_gait, write_results
+from benchmarks.common import nearest_gait, table, write_results
 from benchmarks.paper.ground_force import VERTICAL
+
+COLUMNS = {
+    "stack": "{stack}",
+    "command [m/s]": "{speed:g}",
+    "correlation with the model's force": "{correlation:.2f}",
+}
 
 
 def main(config: Config) -> list[dict[str, Any]]:
@@ -71,9 +74,7 @@ def main(config: Config) -> list[dict[str, Any]]:
         for stack in config.stacks
         for speed in config.speeds
     ]
-    cells = [[row["stack"], f"{row['speed']:g}", f"{row['correlation']:.2f}"] for row in rows]
-    table = markdown(["stack", "command [m/s]", "correlation with the model's force"], cells)
-    write_results(config.out, "open_loop_force", {"rows": rows}, table)
+    write_results(config.out, "open_loop_force", {"rows": rows}, table(COLUMNS, rows))
     return rows
 
 

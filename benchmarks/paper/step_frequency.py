@@ -18,6 +18,10 @@ class Config(WithLibrary):
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds [m/s]."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 16.0
+    """Duration of the measurement [s]."""
 
 
 if __name__ == "__main__":
@@ -27,73 +31,57 @@ if __name__ == "__main__":
 from typing import Any
 
 import numpy as np
+import torch
 from matplotlib.figure import Figure
 
-from aslip.base.tables import markdown
+from aslip.base.interval import Interval
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE
 from aslip.walking import Walks
 from aslip.walking.metrics import duty_factor, step_frequency
 from benchmarks.common import (
-    Interval,
-    MakeEnv,
-    Policy,
+    Policies,
+    Report,
+    benchmark,
     constant_walks,
-    load_with_library,
     shortest_swing,
-    strides,
-    write_report,
+    straight,
+    table,
 )
 
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 16.0
+COLUMNS = {
+    "command [m/s]": "{speed:.1f}",
+    "model [Hz]": "{model:.3f}",
+    "robot [Hz]": "{mean:.3f}",
+    "error": lambda row: f"{100 * row['off']:+.2f} %",
+    "duty factor": "{duty:.2f}",
+}
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each speed.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    subjects, library = load_with_library(config, policy, make_env)
-    model = 2 / strides(library, config.speeds)
-    walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
-    first = round(_SETTLE / CASSIE.policy_period)
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each speed."""
+    subjects = policies.load()
+    library = subjects[0].library
+    walks = constant_walks(config, subjects, config.speeds, config.settle + config.walk)
+    first = round(config.settle / CASSIE.policy_period)
     rows: list[dict[str, Any]] = []
     footholds = Footholds(library)
     for i, speed in enumerate(config.speeds):
-        swing = shortest_swing(footholds, speed)
+        command = torch.tensor([straight(library, speed)], dtype=torch.float64)
+        model, swing = 2 / library.stride(command).item(), shortest_swing(footholds, speed)
         found = [frequency_and_duty(walk.one(i, first), swing) for walk in walks]
         frequency = Interval.of([np.array([f]) for f, _ in found])
         rows.append(
             {
                 "speed": speed,
-                "model": float(model[i]),
+                "model": model,
                 **vars(frequency),
-                "off": frequency.mean / float(model[i]) - 1,
-                "each": [f / float(model[i]) - 1 for f, _ in found],
+                "off": frequency.mean / model - 1,
                 "duty": float(np.mean([duty for _, duty in found])),
             }
         )
-    cells = [
-        [
-            f"{row['speed']:.1f}",
-            f"{row['model']:.3f}",
-            f"{row['mean']:.3f}",
-            f"{100 * row['off']:+.2f} %",
-            f"{row['duty']:.2f}",
-        ]
-        for row in rows
-    ]
-    header = ["command [m/s]", "model [Hz]", "robot [Hz]", "error", "duty factor"]
-    write_report(
-        config, policy, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows)
-    )
-    return rows
+    return Report(rows, table(COLUMNS, rows), picture(rows))
 
 
 def frequency_and_duty(walk: Walks, swing: float) -> tuple[float, float]:

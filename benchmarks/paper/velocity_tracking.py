@@ -2,16 +2,14 @@
 
     python -m benchmarks.paper.velocity_tracking                  # the policy `straight`
     python -m benchmarks.paper.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.paper.velocity_tracking --log walk.mcap  # a logged walk
 
-The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. A map compares mean
-and commanded speed. A table lists the responses to steps of 1 m/s.
+The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s. A map compares mean and commanded
+speed. A table lists the responses to steps of 1 m/s.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from aslip.base.command_line import command_line
 from aslip.errors import one_line_errors
@@ -24,8 +22,14 @@ class Config(WithLibrary):
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds of the map [m/s]."""
-    log: Path | None = None
-    """Log of a walk through a schedule, to measure instead of policies."""
+    hold: float = 4.0
+    """Time for which the schedule, and each side of a step, holds a command [s]."""
+    transient: float = 1.5
+    """Time after a change of the command that means over the schedule exclude [s]."""
+    settle: float = 4.0
+    """Duration of settling for the map [s]."""
+    walk: float = 8.0
+    """Duration of the measurement for the map [s]."""
 
 
 if __name__ == "__main__":
@@ -40,7 +44,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.base.tables import markdown
+from aslip.base.interval import Interval
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, tracks_command
@@ -53,15 +57,13 @@ from aslip.walking.metrics import (
     touchdown_spike,
 )
 from benchmarks.common import (
-    Interval,
-    MakeEnv,
-    Policy,
+    Policies,
+    Report,
     Subject,
+    benchmark,
     constant_walks,
-    load_with_library,
-    logged_walk,
     record_subject,
-    write_report,
+    table,
 )
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
@@ -75,64 +77,74 @@ PUBLISHED: Final = MappingProxyType(
 )
 """Commanded -> mean speed [m/s] in the authors' recording, 1.5 s after each change."""
 
-_HOLD = 4.0  # [s]
-# duration after a change of command that the mean excludes [s]
-_TRANSIENT = 1.5
-# durations before and after a step change, and of settling and averaging for the map [s]
-_BEFORE, _AFTER = 4.0, 4.0
-_SETTLE, _WALK = 4.0, 8.0
 # weight of the nominal robot [N]
 _WEIGHT = CASSIE.total_mass * STANDARD_GRAVITY
 # half-width of the model's velocity spike at touchdown [policy steps]
 _SPIKE = 2
 
+SCHEDULE_COLUMNS = {
+    "command [m/s]": "{command:.3f}",
+    "robot [m/s]": "{robot:.3f}",
+    "oscillation [m/s]": "{robot_std:.3f}",
+    "model [m/s]": "{model:.3f}",
+    "RMS difference to model [m/s]": "{rms:.3f}",
+    "published [m/s]": lambda row: (
+        f"{row['published']:.3f}" if math.isfinite(row["published"]) else ""
+    ),
+}
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> dict[str, Any]:
-    """Measure, print and draw; returns the numbers.
+MAP_COLUMNS = {
+    "command [m/s]": "{command:.1f}",
+    "mean [m/s]": "{mean:.3f}",
+    "error [m/s]": lambda row: f"{row['mean'] - row['command']:+.3f}",
+    "lateral [m/s]": "{sideways:.3f}",
+    **{
+        header: lambda row, name=name: f"{sum(row[name])} of {len(row[name])}"
+        for header, name in {
+            "survived": "survived",
+            "on the feet": "on_feet",
+            f"tracked within {TRACKING_TOLERANCE:g} m/s": "tracked",
+        }.items()
+    },
+}
 
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
+STEP_COLUMNS = {
+    "step [m/s]": "{from:.1f} to {to:.1f}",
+    "settling time [s]": lambda row: (
+        f"{row['settling']:.2f}" if math.isfinite(row["settling"]) else "never"
+    ),
+    "overshoot [m/s]": "{overshoot:.2f}",
+    "steady error [m/s]": "{steady_error:+.3f}",
+}
 
-    Raises:
-        ConfigurationError: the log is of a walk that is not straight ahead.
-    """
-    if config.log is not None:
-        walks = [logged_walk(config.log)]
-        numbers: dict[str, Any] = {"policies": [], "log": str(config.log)}
-        numbers["schedule"] = schedule_rows(walks)
-        figure = picture(walks[0], [])
-        write_report(config, policy, "velocity_tracking", numbers, schedule_table(numbers), figure)
-        return numbers
-    subjects, library = load_with_library(config, policy, make_env)
-    steps = round(_HOLD / CASSIE.policy_period)
-    command = np.repeat(SCHEDULE, steps)[:, None]
+
+@benchmark
+def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
+    """Measure and draw; the result is the numbers."""
+    subjects = policies.load()
+    command = np.repeat(SCHEDULE, round(config.hold / CASSIE.policy_period))[:, None]
     walks = [record_subject(config, subject, command) for subject in subjects]
     numbers = {
-        "schedule": schedule_rows(walks),
+        "schedule": schedule_rows(config, walks),
         "map": map_rows(config, subjects),
-        "steps": step_rows(config, subjects, Footholds(library)),
+        "steps": step_rows(config, subjects, Footholds(subjects[0].library)),
         "spike": spike_numbers(walks),
     }
-    tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
-    figure = picture(walks[0], numbers["map"], len(walks))
-    write_report(config, policy, "velocity_tracking", numbers, "\n\n".join(tables), figure)
-    return numbers
+    columns = {"schedule": SCHEDULE_COLUMNS, "map": MAP_COLUMNS, "steps": STEP_COLUMNS}
+    text = "\n\n".join(table(of, numbers[name]) for name, of in columns.items())
+    return Report(numbers, text, picture(walks[0], numbers["map"], len(walks)), numbers)
 
 
 # --------------------------------------------------------------------- schedule
 
 
-def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
+def schedule_rows(config: Config, walks: list[Walks]) -> list[dict[str, float]]:
     """Mean speeds of robot and model in each part of a schedule, without the transient."""
     command = walks[0].speed[:, 0]
     bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
     rows = []
     for start, stop in itertools.pairwise(bounds):
-        steady = slice(min(start + round(_TRANSIENT / CASSIE.policy_period), stop - 1), stop)
+        steady = slice(min(start + round(config.transient / CASSIE.policy_period), stop - 1), stop)
         robot = [walk.pelvis_velocity[steady, 0, 0] for walk in walks]
         model = walks[0].body_velocity[steady, 0, 0]
         off = [walk.pelvis_velocity[steady, 0, 0] - walk.body_velocity[steady, 0, 0]
@@ -152,25 +164,10 @@ def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
     return rows
 
 
-def schedule_table(numbers: dict[str, Any]) -> str:
-    """Table of the schedule, a row for each part."""
-    rows = [
-        [f"{row[key]:.3f}" for key in ("command", "robot", "robot_std", "model", "rms")]
-        + [f"{row['published']:.3f}" if math.isfinite(row["published"]) else ""]
-        for row in numbers["schedule"]
-    ]
-    header = [
-        "command [m/s]", "robot [m/s]", "oscillation [m/s]", "model [m/s]",
-        "RMS difference to model [m/s]", "published [m/s]",
-    ]  # fmt: skip
-    return markdown(header, rows)
-
-
 def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
     """Mean range of speed around the model's touchdowns over walks, robot and model [m/s]."""
     each = [walk_spikes(walk) for walk in walks]
-    means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
-    return {**means, "each": each}
+    return {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
 
 
 def walk_spikes(walk: Walks) -> dict[str, float]:
@@ -192,8 +189,8 @@ def walk_spikes(walk: Walks) -> dict[str, float]:
 
 def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
     """Mean speed at each command, and whether policies survived, on their feet, and tracked it."""
-    walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
-    first = round(_SETTLE / CASSIE.policy_period)
+    walks = constant_walks(config, subjects, config.speeds, config.settle + config.walk)
+    first = round(config.settle / CASSIE.policy_period)
     rows = []
     for i, speed in enumerate(config.speeds):
         means = np.array([mean_velocity(walk.pelvis_place[first:, i]) for walk in walks])
@@ -204,11 +201,10 @@ def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
             {
                 "command": speed,
                 **vars(Interval.of([np.array([mean]) for mean in each])),
-                "each": each,
                 "sideways": float(drift),
                 "survived": [bool(walk.survived[i]) for walk in walks],
                 # false for NaN after a fall
-                "on_feet": [bool(is_on_feet(ratio, _WALK)) for ratio in carried],
+                "on_feet": [bool(is_on_feet(ratio, config.walk)) for ratio in carried],
                 "tracked": [bool(tracks_command(speed, mean)) for mean in each],
             }
         )
@@ -220,24 +216,6 @@ def mean_velocity(position: np.ndarray) -> np.ndarray:
     return (position[-1] - position[0]) / ((len(position) - 1) * CASSIE.policy_period)
 
 
-def map_table(numbers: dict[str, Any]) -> str:
-    """Table of the map, a row for each speed."""
-    rows = [
-        [
-            f"{row['command']:.1f}",
-            f"{row['mean']:.3f}",
-            f"{row['mean'] - row['command']:+.3f}",
-            f"{row['sideways']:.3f}",
-            *(f"{sum(row[key])} of {len(row[key])}" for key in ("survived", "on_feet", "tracked")),
-        ]
-        for row in numbers["map"]
-    ]
-    header = [
-        "command [m/s]", "mean [m/s]", "error [m/s]", "lateral [m/s]", "survived", "on the feet",
-    ]  # fmt: skip
-    return markdown([*header, f"tracked within {TRACKING_TOLERANCE:g} m/s"], rows)
-
-
 # ------------------------------------------------------------------------ steps
 
 
@@ -245,13 +223,12 @@ def step_rows(
     config: Config, subjects: list[Subject], footholds: Footholds
 ) -> list[dict[str, Any]]:
     """Responses to sudden changes of command, a row for each change."""
-    before, after = (round(time / CASSIE.policy_period) for time in (_BEFORE, _AFTER))
-    changes = np.array(STEPS).T
-    command = np.concatenate([np.tile(changes[0], (before, 1)), np.tile(changes[1], (after, 1))])
+    hold = round(config.hold / CASSIE.policy_period)
+    command = np.repeat(np.array(STEPS).T, hold, axis=0)
     walks = [record_subject(config, subject, command) for subject in subjects]
     rows = []
     for i, (old, new) in enumerate(STEPS):
-        responses = [walk_step_response(walk, i, before, footholds) for walk in walks]
+        responses = [walk_step_response(walk, i, hold, footholds) for walk in walks]
         rows.append(
             {
                 "from": old,
@@ -259,10 +236,6 @@ def step_rows(
                 "settling": float(np.mean([r.settling_time for r in responses])),
                 "overshoot": float(np.mean([r.overshoot for r in responses])),
                 "steady_error": float(np.mean([r.steady_error for r in responses])),
-                "each": {
-                    "settling": [r.settling_time for r in responses],
-                    "steady_error": [r.steady_error for r in responses],
-                },
             }
         )
     return rows
@@ -277,29 +250,13 @@ def walk_step_response(walk: Walks, index: int, change: int, footholds: Foothold
     return step_response(speed, old, new, footholds.stride(new), CASSIE.policy_period)
 
 
-def step_table(numbers: dict[str, Any]) -> str:
-    """Table of the responses, a row for each change."""
-    rows = [
-        [
-            f"{row['from']:.1f} to {row['to']:.1f}",
-            f"{row['settling']:.2f}" if math.isfinite(row["settling"]) else "never",
-            f"{row['overshoot']:.2f}",
-            f"{row['steady_error']:+.3f}",
-        ]
-        for row in numbers["steps"]
-    ]
-    return markdown(
-        ["step [m/s]", "settling time [s]", "overshoot [m/s]", "steady error [m/s]"], rows
-    )
-
-
 # ---------------------------------------------------------------------- picture
 
 
 def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
     """Speed of the first policy through the schedule; mean over commanded speed of all."""
     figure = Figure(figsize=(11, 4), layout="constrained")
-    parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
+    parts = figure.subplots(1, 2, width_ratios=(2, 1))
     time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
     robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
     parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
@@ -310,16 +267,13 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     parts[0].step(time, walk.speed[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
     parts[0].legend(loc="upper right", fontsize=8)
-    if mapped:
-        commanded = [row["command"] for row in mapped]
-        parts[1].plot(commanded, commanded, "k--", label="command")
-        means = np.array([row["mean"] for row in mapped])
-        spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
-        parts[1].errorbar(
-            commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean"
-        )
-        parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
-        parts[1].legend()
+    commanded = [row["command"] for row in mapped]
+    parts[1].plot(commanded, commanded, "k--", label="command")
+    means = np.array([row["mean"] for row in mapped])
+    spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
+    parts[1].errorbar(commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean")
+    parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
+    parts[1].legend()
     for part in parts:
         part.grid(alpha=0.3)
     return figure

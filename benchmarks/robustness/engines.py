@@ -20,6 +20,7 @@ from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.sim.drake import Contact
+from benchmarks.flags import check_numbers
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,7 @@ class Config(UserPaths):
         for name in ("policy", "engine", "speeds"):
             if not getattr(self, name):
                 raise ConfigurationError(f"{name} must name at least one")
-        for name in ("duration", "acceleration"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigurationError(f"{name} must be positive, got {value!r}")
+        check_numbers(self, "duration", "acceleration")
 
 
 if __name__ == "__main__":

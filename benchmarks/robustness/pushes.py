@@ -18,14 +18,14 @@ are over its walks, of several over policies.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
 from aslip.base.command_line import command_line
-from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import SWEEPS, Sweeps
+from aslip.errors import one_line_errors
+from benchmarks.flags import check_numbers
+from benchmarks.robustness.parameters import SWEEPS, Sweeps
 
 SIDES: Final = MappingProxyType({0.0: "forward", 90.0: "left", 180.0: "back", 270.0: "right"})
 """Names of directions of pushes [deg]."""
@@ -57,20 +57,19 @@ class Config(Sweeps):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        least = {"directions": 1, "phases": 0, "repeats": 1, "bisections": 1}
-        for name, low in least.items():
-            if getattr(self, name) < low:
-                raise ConfigurationError(f"{name} must be {low} or more, got {getattr(self, name)}")
-        for name in ("largest", "duration", "settle", "after"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+        check_numbers(
+            self, "largest", "duration", "settle", "after",
+            directions=1, phases=0, repeats=1, bisections=1,
+        )  # fmt: skip
 
 
 if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
+from collections.abc import Mapping
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -80,35 +79,25 @@ from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 from aslip.base.interval import Interval
-from aslip.base.tables import markdown
 from aslip.envs import StackEnv, library_of
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.walking import policy_steps, reset_walks
-from benchmarks.common import (
-    MakeEnv,
-    Policy,
-    Subject,
-    load_with_library,
-    straight,
-    walk_on,
-    write_report,
-)
+from benchmarks.common import Policies, Report, Subject, benchmark, straight, table
 from benchmarks.robustness.push_picture import picture
-from benchmarks.robustness.sweeps import measure_sweeps, sweep_rows, sweep_table, trials
+from benchmarks.robustness.sweeps import (
+    COLUMNS,
+    measure_sweeps,
+    sweep_rows,
+    trials,
+    walk_on,
+)
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> dict[str, Any]:
-    """Measure, print and draw; returns the numbers.
-
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    subjects, _ = load_with_library(config, policy, make_env)
+@benchmark
+def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
+    """Measure and draw; the result is the numbers."""
+    subjects = policies.load()
     total = len(subjects) * count_robot_steps(config)
     with tqdm(total=total, unit="step", unit_scale=True, leave=False) as bar:
         pushes = [measure_pushes(config, subject, bar) for subject in subjects]
@@ -123,15 +112,10 @@ def main(
         "pushes": push_rows(config, pushes),
         "sweeps": sweep_rows(config, sweeps),
     }
-    tables = [
-        push_table(numbers),
-        censored_text(config, np.array(pushes)),
-        sweep_table(numbers["sweeps"]),
-    ]
-    text = "\n\n".join(table for table in tables if table)
-    figure = picture(numbers, SIDES, SWEEPS)
-    write_report(config, policy, "pushes", numbers, text, figure)
-    return numbers
+    parts = [table(PUSH_COLUMNS, numbers["pushes"])] if numbers["pushes"] else []
+    parts += [text] if (text := censored_text(config, np.array(pushes))) else []
+    parts += [table(COLUMNS, numbers["sweeps"])] if numbers["sweeps"] else []
+    return Report(numbers, "\n\n".join(parts), picture(numbers, SIDES, SWEEPS), numbers)
 
 
 def censored_text(config: Config, survived: np.ndarray) -> str:
@@ -204,9 +188,9 @@ def settle(
     """
     steps = round(config.settle / CASSIE.policy_period)
     library = library_of(env)
-    ahead = torch.tensor([straight(library, config.speed)])
-    start = phase - steps * CASSIE.policy_period / library.stride(ahead).item()
-    td = reset_walks(env, ahead.double().numpy().repeat(len(phase), axis=0), start % 1.0)
+    command = torch.tensor([straight(library, config.speed)])
+    start = phase - steps * CASSIE.policy_period / library.stride(command).item()
+    td = reset_walks(env, command.double().numpy().repeat(len(phase), axis=0), start % 1.0)
     return walk_on(env, actor, td, steps, bar)
 
 
@@ -243,20 +227,18 @@ def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
     ]
 
 
-def push_table(numbers: dict[str, Any]) -> str:
-    """Table of impulses, a row for each direction: mean and range over phases."""
-    rows = []
-    for row in numbers["pushes"]:
-        extremes = [pick(row["phases"], key=lambda cell: cell["mean"]) for pick in (min, max)]
-        rows.append(
-            [
-                SIDES.get(row["direction_deg"], f"{row['direction_deg']:.0f}°"),
-                Interval.of_row(row).text(1),
-                *(f"{Interval.of_row(cell).text(1)} at {cell['phase']:.3g}" for cell in extremes),
-            ]
-        )
-    header = ["push", "mean over phases [N s]", "minimum, at phase", "maximum, at phase"]
-    return markdown(header, rows) if rows else ""
+def _extreme(pick: Any, row: Mapping[str, Any]) -> str:
+    """Cell of the smallest or largest impulse over phases, and its phase."""
+    cell = pick(row["phases"], key=lambda cell: cell["mean"])
+    return f"{Interval.of_row(cell).text(1)} at {cell['phase']:.3g}"
+
+
+PUSH_COLUMNS = {
+    "push": lambda row: SIDES.get(row["direction_deg"], f"{row['direction_deg']:.0f}°"),
+    "mean over phases [N s]": lambda row: Interval.of_row(row).text(1),
+    "minimum, at phase": partial(_extreme, min),
+    "maximum, at phase": partial(_extreme, max),
+}
 
 
 if __name__ == "__main__":

@@ -8,18 +8,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 from aslip.base.interval import Interval
-from aslip.base.tables import markdown
-from aslip.envs import library_of
+from aslip.envs import StackEnv, library_of
 from aslip.robot import CASSIE
-from aslip.walking import reset_walks
-from benchmarks.common import Subject, walk_on
+from aslip.walking import next_start, reset_walks, walk
+from benchmarks.common import Subject
 from benchmarks.directions.random_commands import random_commands
-from benchmarks.flags import SWEEPS, Sweeps
-
-__all__ = ["SweepResult", "measure_sweeps", "sweep_rows", "sweep_table", "trials"]
+from benchmarks.robustness.parameters import SWEEPS, Sweeps
 
 # commands of falls that a table shows
 _SHOWN = 4
@@ -95,21 +94,6 @@ def sweep_rows(config: Sweeps, results: Sequence[SweepResult]) -> list[dict[str,
     return rows
 
 
-def sweep_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Table of survival, a row for each parameter and value; empty without rows."""
-    lines = [
-        [
-            SWEEPS[row["parameter"]].label,
-            f"{row['value']:g}",
-            Interval.of_row(row).text(0, 100),
-            _commands(row["falls"]),
-        ]
-        for row in rows
-    ]
-    header = ["parameter", "value", "survived [%]", "falls at commands"]
-    return markdown(header, lines) if lines else ""
-
-
 def _commands(falls: list[list[float]]) -> str:
     """Text of the first commands, slowest first, and of the number of the others."""
     shown = ["(" + ", ".join(f"{v:.2f}" for v in one) + ")" for one in sorted(falls)[:_SHOWN]]
@@ -117,3 +101,43 @@ def _commands(falls: list[list[float]]) -> str:
         shown = [text.strip("()") for text in shown]
     more = [f"{len(falls) - _SHOWN} more"] if len(falls) > _SHOWN else []
     return ", ".join(shown + more)
+
+
+COLUMNS = {
+    "parameter": lambda row: SWEEPS[row["parameter"]].label,
+    "value": "{value:g}",
+    "survived [%]": lambda row: Interval.of_row(row).text(0, 100),
+    "falls at commands": lambda row: _commands(row["falls"]),
+}
+"""Columns of the table of survival."""
+
+
+def walk_on(
+    env: StackEnv,
+    actor: TensorDictModuleBase,
+    td: TensorDictBase,
+    steps: int,
+    bar: tqdm,
+    force: np.ndarray | None = None,
+) -> tuple[TensorDictBase, np.ndarray]:
+    """Walk on from a tensordict, which is left as it is, until all robots have fallen.
+
+    Args:
+        env: environment of n robots, in the state that belongs to the tensordict.
+        actor: policy.
+        td: start.
+        steps: policy steps.
+        bar: progress bar that counts each robot's steps.
+        force: (n, 3) force on the pelvis throughout [N, world].
+
+    Returns:
+        The tensordict after the last step, and (n,) whether each robot is still up.
+    """
+    alive = np.ones(env.num_envs, dtype=bool)
+    for step in walk(actor, env, td, steps, push=force):
+        alive &= ~np.asarray(step["next", "terminated"][:, 0])
+        td = next_start(step)
+        bar.update(env.num_envs)
+        if not alive.any():
+            break
+    return td, alive

@@ -4,7 +4,7 @@
     python -m benchmarks.robustness.walking_quality --policy mine=runs/mine-{1,2} p=runs/p-1
 
 Each policy is a method of its own; `name=` before several policies makes them seeds of one method.
-Forces, torques and positions are sampled at 2 kHz, for 8 s after 4 s of walking. Definitions and
+Forces, torques and positions of the settled walk are sampled at 2 kHz. Definitions and
 their sources are in `aslip.walking.metrics`: `airborne_share`, `longest_airborne`, `slip_distance`,
 `touchdown_impact`, `largest_force`, `friction_limit_share`, `mechanical_power` and
 `cost_of_transport`.
@@ -15,7 +15,6 @@ the share of time in which each foot carries less than 20 N.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
@@ -32,6 +31,10 @@ class Config(WithLibrary):
     of one method count as its seeds."""
     speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
     """Commanded speeds [m/s]."""
+    settle: float = 4.0
+    """Duration of settling [s]."""
+    walk: float = 8.0
+    """Duration of the measurement [s]."""
 
 
 if __name__ == "__main__":
@@ -49,7 +52,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.base.tables import markdown
+from aslip.base.interval import Interval
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, STANDARD_GRAVITY
@@ -66,24 +69,18 @@ from aslip.walking.metrics import (
 )
 from aslip.walking.metrics.contact import CONTACT_FORCE
 from benchmarks.common import (
-    Interval,
-    MakeEnv,
-    Policy,
+    Policies,
+    Report,
     Subject,
-    chosen_library,
+    benchmark,
     nearest_gait,
-    policy_name,
     shortest_swing,
-    write_report,
+    table,
 )
 from benchmarks.paper.ground_force import model_force
 
-# durations of settling and of the measurement [s]
-_SETTLE, _WALK = 4.0, 8.0
 _FRICTION = 1.0  # of the model's floor
 _MODEL = "spring-mass model"
-# a method's name before its policy
-_NAMED = re.compile(r"([\w .-]+)=(.+)")
 
 
 @dataclass(frozen=True)
@@ -120,18 +117,26 @@ _MODEL_LINES: Final = {
 }
 
 
-def main(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
-) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each method and speed.
+COLUMNS = {
+    "method": "{method}",
+    "command [m/s]": lambda row: str(round(row["speed"], 3)),
+    **{
+        one.column: lambda row, name=name, one=one: (
+            Interval.of_row(row[name]).text(one.digits, one.scale)
+            if np.isfinite(row[name]["mean"])
+            else ""
+        )
+        for name, one in QUANTITIES.items()
+    },
+    "survived": lambda row: f"{row['walked']} of {row['seeds']}" if row["seeds"] else "",
+}
 
-    Args:
-        config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
-    """
-    methods = load_methods(config, policy, make_env, chosen_library(config))
-    library = next(iter(methods.values()))[0].find_library()
+
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Measure and draw; the result is a row for each method and speed."""
+    methods = policies.methods()
+    library = next(iter(methods.values()))[0].library
     footholds = Footholds(library)
     runs = [(name, one, v) for name, ones in methods.items() for v in config.speeds for one in ones]
     found: dict[tuple[str, float], list[dict[str, float] | None]] = {}
@@ -144,25 +149,7 @@ def main(
         rows, model_rows(library, gaits_between(library, config.speeds)) if modelled else []
     )
     rows += model_rows(library, config.speeds) if modelled else []
-    write_report(config, policy, "walking_quality", {"rows": rows}, table(rows), figure)
-    return rows
-
-
-def load_methods(
-    config: Config,
-    policy: Policy | None = None,
-    make_env: MakeEnv | None = None,
-    library: GaitLibrary | None = None,
-) -> dict[str, list[Subject]]:
-    """Seeds of each method, from `method=policy` or from policies that are methods of their own."""
-    if policy is not None:
-        return {policy_name(policy): [Subject.load(policy, make_env, library)]}
-    methods: dict[str, list[Subject]] = {}
-    for text in config.policy:
-        named = _NAMED.fullmatch(text)
-        name, path = named.groups() if named else (text, text)
-        methods.setdefault(name, []).append(Subject.load(path, make_env, library))
-    return methods
+    return Report(rows, table(COLUMNS, rows), figure)
 
 
 # ---------------------------------------------------------------------- measurement
@@ -173,13 +160,13 @@ def measure(
 ) -> dict[str, float] | None:
     """Measure a subject's settled walk at one speed; None after a fall."""
     torch.set_num_threads(1)
-    steps = round((_SETTLE + _WALK) / CASSIE.policy_period)
+    steps = round((config.settle + config.walk) / CASSIE.policy_period)
     with closing(subject.walking_env(config, 1, num_threads=1)) as env:
         walk = record_substeps(subject.policy, env, np.full(steps, speed))
         weight = float(env.base_env.weight[0])
     if walk.fell:
         return None
-    return quantities(walk.since(_SETTLE), weight, speed, shortest_swing(footholds, speed))
+    return quantities(walk.since(config.settle), weight, speed, shortest_swing(footholds, speed))
 
 
 def quantities(walk: Substeps, weight: float, command: float, swing: float) -> dict[str, float]:
@@ -244,27 +231,6 @@ def gaits_between(library: GaitLibrary, speeds: Sequence[float]) -> list[float]:
 
 
 # --------------------------------------------------------------------------- report
-
-
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Table of all quantities, a row for each method and speed."""
-    cells = [
-        [
-            row["method"],
-            str(round(row["speed"], 3)),
-            *(_cell(row[name], quantity) for name, quantity in QUANTITIES.items()),
-            f"{row['walked']} of {row['seeds']}" if row["seeds"] else "",
-        ]
-        for row in rows
-    ]
-    columns = [quantity.column for quantity in QUANTITIES.values()]
-    return markdown(["method", "command [m/s]", *columns, "survived"], cells)
-
-
-def _cell(value: Mapping[str, float], quantity: Quantity) -> str:
-    if not np.isfinite(value["mean"]):
-        return ""
-    return Interval.of_row(value).text(quantity.digits, quantity.scale)
 
 
 def picture(rows: Sequence[Mapping[str, Any]], model: Sequence[Mapping[str, Any]]) -> Figure:

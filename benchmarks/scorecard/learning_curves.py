@@ -25,7 +25,8 @@ from typing import Literal
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
-from aslip.errors import AssetError, ConfigurationError, FileDamagedError, one_line_errors
+from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
+from benchmarks.flags import check_numbers
 
 Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
 
@@ -57,8 +58,7 @@ class Config(UserPaths):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        if self.jobs < 1:
-            raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
+        check_numbers(self, jobs=1)
 
 
 if __name__ == "__main__":
@@ -81,16 +81,15 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.base.command_line import preset_command_line
+from aslip.base.interval import Interval
 from aslip.base.processes import signals_exit
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed
-from aslip.library import GaitLibrary
 from aslip.policy import POLICY_FILE, read_card
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.progress import read_progress, steps_done
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
-from benchmarks.common import Interval
 from benchmarks.scorecard.learning_record import (
     COLUMNS,
     LENGTHS,
@@ -123,8 +122,7 @@ _OWN_REWARD = {"baseline": " (return of its own reward)"}
 
 # settings that may differ within a variant
 _FREE = {
-    "out", "resume", "device", "total_steps", "schedule_steps", "eval_interval",
-    "checkpoint_minutes",
+    "out", "resume", "device", "total_steps", "eval_interval", "checkpoint_minutes",
 }  # fmt: skip
 _RECIPES = Path(__file__).parents[2] / "recipes"
 _IN_ALL_DIRECTIONS = ("directions",)
@@ -135,8 +133,7 @@ def main(config: Config) -> None:
     """Train missing runs, print and draw."""
     config.out.mkdir(parents=True, exist_ok=True)
     for variant, seed in _wanted(config):
-        _check_settings(_folder(config, variant, seed), variant, seed)
-        _check_schedule(config, _folder(config, variant, seed))
+        _check_settings(config, variant, seed)
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
@@ -175,54 +172,30 @@ def _folder(config: Config, variant: str, seed: int) -> Path:
     return config.out / f"{variant}-{seed}"
 
 
-def _check_settings(folder: Path, variant: str, seed: int) -> None:
-    """Check that the run in a folder, if there is one, is of this variant and seed.
+def _check_settings(config: Config, variant: str, seed: int) -> None:
+    """Check that the run in a folder, if there is one, is of this variant, seed and schedule.
 
     Raises:
         ConfigurationError: a setting of learning is another.
     """
+    folder = _folder(config, variant, seed)
     if not (folder / SETTINGS_FILE).exists():
         return
-    kept = read_settings(folder)[0]
+    kept, _ = read_settings(folder)
+    kept["schedule_steps"] = kept.get("schedule_steps") or kept.get("total_steps")
     wanted = _settings(variant, seed)
+    wanted["schedule_steps"] = config.schedule_steps or config.total_steps
     other = {
         name: kept[name]
         for name, value in wanted.items()
-        if name not in _FREE and name in kept and not _same(name, kept[name], value)
+        if name not in _FREE and kept.get(name, value) != value
     }
     if other:
         raise ConfigurationError(
             f"the run in {str(folder)!r} is not {variant!r} with seed {seed}, it has {other};"
-            f" {variant!r} has { ({name: wanted[name] for name in other}) }"
+            f" {variant!r} has { ({name: wanted[name] for name in other}) }; move the run away, or"
+            " give its --schedule-steps"
         )
-
-
-def _check_schedule(config: Config, folder: Path) -> None:
-    """Check that learning rate and standard deviation of a run have the schedule of the others.
-
-    Raises:
-        ConfigurationError: they have another one.
-    """
-    if not (folder / SETTINGS_FILE).exists():
-        return
-    kept = read_settings(folder)[0]
-    wanted = config.schedule_steps or config.total_steps
-    given = kept.get("schedule_steps") or kept.get("total_steps") or wanted
-    if given != wanted:
-        raise ConfigurationError(
-            f"the schedule of the run in {str(folder)!r} ends after {given} policy steps, not after"
-            f" {wanted}; give --schedule-steps {given}, or move the run away"
-        )
-
-
-def _same(name: str, kept: Any, value: Any) -> bool:
-    """Whether two values of a setting train the same policy; libraries may differ in path."""
-    if kept == value or name != "library":
-        return kept == value
-    try:
-        return GaitLibrary.load(kept).sha256 == GaitLibrary.load(value).sha256
-    except AssetError:
-        return False  # built on another machine, perhaps
 
 
 def _settings(variant: str, seed: int) -> dict[str, Any]:

@@ -12,7 +12,9 @@ import numpy as np
 
 from aslip.errors import FileDamagedError
 from aslip.training.run import write_text
-from benchmarks.common import WALKING_LENGTH
+
+WALKING_LENGTH: Final = 350
+"""Mean episode length from which a training counts as walking, of at most 400 [policy steps]."""
 
 ROBUST_LENGTH: Final = 390
 """Mean episode length with almost no falls, of at most 400 [policy steps]."""

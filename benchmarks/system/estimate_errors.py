@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from tensordict import TensorDictBase
 
-from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
@@ -169,32 +168,21 @@ def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
     return rows
 
 
-def walk_table(rows: list[dict[str, Any]]) -> str:
-    """Table of errors, a row for each walk."""
-    header = [
-        "walk [m/s]", "velocity RMSE x, y, z [m/s]", "height RMSE [mm]",
-        "worst attitude error [deg]", "drift in x [m]", "drift [% of the way]", "NIS",
-        "in band [%]", "NEES velocity", "NEES height", "falls",
-    ]  # fmt: skip
-    cells = []
-    for row in rows:
-        share = f"{100 * row['drift'] / row['distance']:.1f}" if row["distance"] > 1 else "-"
-        cells.append(
-            [
-                row["walk"],
-                ", ".join(f"{value:.3f}" for value in row["velocity"]),
-                f"{1e3 * row['height']:.1f}",
-                f"{np.rad2deg(row['angle']):.2f}",
-                f"{row['drift']:.2f}",
-                share,
-                f"{row['nis']:.1f}",
-                f"{100 * row['nis_inside']:.0f}",
-                f"{row['nees_velocity']:.1f}",
-                f"{row['nees_height']:.1f}",
-                str(row["fallen"]),
-            ]
-        )
-    return markdown(header, cells)
+WALK_COLUMNS = {
+    "walk [m/s]": "{walk}",
+    "velocity RMSE x, y, z [m/s]": lambda row: ", ".join(f"{v:.3f}" for v in row["velocity"]),
+    "height RMSE [mm]": lambda row: f"{1e3 * row['height']:.1f}",
+    "worst attitude error [deg]": lambda row: f"{np.rad2deg(row['angle']):.2f}",
+    "drift in x [m]": "{drift:.2f}",
+    "drift [% of the distance]": lambda row: (
+        f"{100 * row['drift'] / row['distance']:.1f}" if row["distance"] > 1 else "-"
+    ),
+    "NIS": "{nis:.1f}",
+    "in band [%]": lambda row: f"{100 * row['nis_inside']:.0f}",
+    "NEES velocity": "{nees_velocity:.1f}",
+    "NEES height": "{nees_height:.1f}",
+    "falls": "{fallen}",
+}
 
 
 def _mean(values: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:

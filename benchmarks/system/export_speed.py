@@ -67,10 +67,10 @@ state, _ = controller.step(controller.start(estimate, 0.5), estimate)
 ready = time.time()
 # unlike `ru_maxrss`, without the memory of the process that launched this one
 memory = int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) / 1e3
-begun = time.perf_counter()
+start = time.perf_counter()
 for _ in range(int(sys.argv[3])):
     state, _ = controller.step(state, estimate)
-step = (time.perf_counter() - begun) / int(sys.argv[3])
+step = (time.perf_counter() - start) / int(sys.argv[3])
 print(json.dumps([ready, memory, step * 1e6]))
 """
 
@@ -93,10 +93,10 @@ def main(config: Config) -> None:
 def _start(script: str, file: Path, config: Config) -> list[float]:
     """Time to the second motor target [s], memory [MB] and time per step [us] of a process."""
     command = [sys.executable, "-c", script, str(file), config.policy, str(config.steps)]
-    begun = time.time()
+    start = time.time()
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     ready, memory, step = json.loads(run.stdout)
-    return [ready - begun, memory, step]
+    return [ready - start, memory, step]
 
 
 if __name__ == "__main__":

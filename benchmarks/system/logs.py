@@ -1,11 +1,10 @@
-"""Walk logs: overhead, size, killed writers, truncation and replay.
+"""Walk logs: overhead, size and killed writers.
 
     python -m benchmarks.system.logs                       # everything
-    python -m benchmarks.system.logs --rounds 5 --kills 0 --cuts 0 --replays 0
+    python -m benchmarks.system.logs --rounds 5 --kills 0
 
 One robot walks with and without a recorder. Both take the same steps in turn, in small portions, so
-that other load on the machine affects both alike. Processes are then killed while they write a log,
-logs are truncated at random, and walks are replayed.
+that other load on the machine affects both alike. Processes are then killed while they write a log.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
-from aslip.errors import FileDamagedError, one_line_errors
+from aslip.errors import one_line_errors
 
 
 @dataclass(frozen=True)
@@ -23,13 +22,11 @@ class Config(UserPaths):
     """Settings of the benchmark."""
 
     rounds: int = 3
-    """Walks of 12 s, each with and without a log."""
+    """Walks, each with and without a log."""
+    steps: int = 400
+    """Policy steps of a walk; the paper's episodes have 400."""
     kills: int = 50
     """Number of processes killed while they write a log."""
-    cuts: int = 200
-    """Number of truncated copies of a log."""
-    replays: int = 20
-    """Number of walks replayed, with random commands and pushes."""
     policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it."""
     seed: int = 0
@@ -49,24 +46,22 @@ import signal
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import numpy as np
 import torch
 from tqdm import trange
 
+from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
-from aslip.log import JointRate, Recorder, read, recover, replay
+from aslip.log import JointRate, Recorder, recover, replay
 from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.walking import Walker
 from benchmarks.common import MakeEnv, Policy, Subject
 from benchmarks.flags import Common
 
-# length of the paper's episodes [policy steps]
-_EPISODE = 400
 # policy steps timed together; a pause of the machine affects one portion only
 _PORTION = 20
 
@@ -89,10 +84,6 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
             numbers["overhead"] = overhead(config, subject, folder)
         if config.kills:
             numbers["kills"] = kills(config, subject, folder)
-        if config.cuts:
-            numbers["cuts"] = cuts(config, subject, folder)
-        if config.replays:
-            numbers["replays"] = replays(config, subject, folder)
     config.report.parent.mkdir(parents=True, exist_ok=True)
     write_text(config.report, json.dumps(numbers, indent=1) + "\n")
 
@@ -114,7 +105,6 @@ def make_walker(
 
 def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
     """Measure the slowdown of walks by a recorder, and the size of logs."""
-    print("\n| log | time for 12 s | slowdown | size |\n|---|---:|---:|---:|")
     ratios: dict[str, list[float]] = {"policy": [], "physics": []}
     seconds: dict[str, list[float]] = {"none": [], "policy": [], "physics": []}
     sizes: dict[str, int] = {}
@@ -123,7 +113,7 @@ def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]
         paths = {rate: folder / f"{rate}-{round_number}.mcap" for rate in ratios}
         for rate, path in paths.items():
             walkers[rate] = make_walker(subject, path, rate)  # pyright: ignore
-        spent = portions(walkers)
+        spent = portions(walkers, config.steps)
         for name, walker in walkers.items():
             walker.env.close()
             seconds[name].append(float(spent[name].sum()))
@@ -132,22 +122,21 @@ def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]
             ratios[rate].append(float(np.median(spent[rate] / spent["none"])))
             sizes[rate] = path.stat().st_size
     results: dict[str, float] = {}
-    print(f"| none | {statistics.median(seconds['none']):.2f} s | | |")
+    rows = [["none", f"{statistics.median(seconds['none']):.2f} s", "", ""]]
     for rate, label in (("policy", "33 Hz"), ("physics", "joints at 2 kHz")):
         slower = statistics.median(ratios[rate]) - 1
-        print(
-            f"| {label} | {statistics.median(seconds[rate]):.2f} s | {100 * slower:.1f} %"
-            f" | {sizes[rate] / 1e6:.2f} MB |"
-        )
+        took, size = statistics.median(seconds[rate]), sizes[rate] / 1e6
+        rows.append([label, f"{took:.2f} s", f"{100 * slower:.1f} %", f"{size:.2f} MB"])
         results |= {f"{rate}_slower": slower, f"{rate}_bytes": sizes[rate]}
+    print("\n" + markdown(["log", "time of a walk", "slowdown", "size"], rows))
     return results
 
 
-def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
+def portions(walkers: dict[str, Walker], steps: int) -> dict[str, np.ndarray]:
     """Wall time of each portion of an episode [s], all walkers in turn."""
     spent: dict[str, list[float]] = {name: [] for name in walkers}
     order = list(walkers)
-    for _ in range(_EPISODE // _PORTION):
+    for _ in range(steps // _PORTION):
         for name in order:
             start = time.perf_counter()
             for _ in range(_PORTION):
@@ -166,7 +155,7 @@ def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
     lost, failures = [], 0
     for i in trange(config.kills, unit="kill", leave=False):
         path = folder / f"victim-{i}.mcap"
-        reached = kill_writer(subject, path, int(rng.integers(34, _EPISODE)), rng)
+        reached = kill_writer(subject, path, int(rng.integers(34, config.steps)), rng)
         saved = recover(path.with_name(path.name + ".part"))
         loss = reached * CASSIE.policy_period - saved.until
         lost.append(loss)
@@ -205,83 +194,6 @@ def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
     while True:
         walker.step()
         reports.send(walker.steps)
-
-
-# ------------------------------------------------------------------------- cuts
-
-
-def cuts(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
-    """Truncate a log at random, and count recovered logs, clear errors and wrong results."""
-    path = folder / "whole.mcap"
-    with closing_env(make_walker(subject, path)) as walker:
-        for _ in range(200):
-            walker.step()
-    data, whole = path.read_bytes(), read(path)
-    rng = np.random.default_rng(config.seed)
-    counts = {"saved": 0, "clear error": 0, "wrong": 0}
-    for i in trange(config.cuts, unit="cut", leave=False):
-        cut = folder / f"cut-{i}.mcap.part"
-        cut.write_bytes(data[: int(rng.integers(len(data)))])
-        counts[outcome(cut, whole.series["/truth"].time)] += 1
-    print(f"\n{config.cuts} cuts: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
-    return counts
-
-
-def outcome(cut: Path, time: np.ndarray) -> str:
-    """Outcome of reading a truncated log: "saved", "clear error" or "wrong"."""
-    try:
-        read(cut)
-        return "wrong"
-    except FileDamagedError:
-        pass
-    try:
-        saved = recover(cut)
-    except FileDamagedError:
-        return "clear error"
-    rest = read(saved.path)
-    kept = rest.series["/truth"].time
-    alike = np.array_equal(kept, time[: len(kept)])
-    return "saved" if alike else "wrong"
-
-
-# ---------------------------------------------------------------------- replays
-
-
-def replays(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
-    """Replay walks with random commands and pushes, from the start and from the middle."""
-    rng = np.random.default_rng(config.seed)
-    equal, states, falls = 0, 0, 0
-    for i in trange(config.replays, unit="walk", leave=False):
-        path = folder / f"replay-{i}.mcap"
-        with closing_env(make_walker(subject, path, seed=i)) as walker:
-            for step in range(_EPISODE):
-                if step % 50 == 0:
-                    walker.command = float(rng.uniform(0, 2))
-                if rng.random() < 0.02:
-                    walker.push(rng.normal(0, 60, 3).tolist(), float(rng.uniform(0.03, 0.2)))
-                walker.step()
-                if walker.fallen:
-                    falls += 1
-                    walker.reset()
-        recording = read(path, ["/step", "/state", "/dynamics"])
-        middle = float(recording["/state"].time[-1]) / 2
-        results = [replay(recording, start) for start in (0.0, middle)]
-        equal += all(result.equal for result in results)
-        states += sum(result.compared for result in results)
-    print(
-        f"\nreplayed {equal} of {config.replays} walks bit for bit, from the start and from the"
-        f" middle; {states} states compared, {falls} falls included"
-    )
-    return {"walks": config.replays, "equal": equal, "states": states, "falls": falls}
-
-
-@contextmanager
-def closing_env(walker: Walker) -> Iterator[Walker]:
-    """Close a walker's environment and log on exit."""
-    try:
-        yield walker
-    finally:
-        walker.env.close()
 
 
 if __name__ == "__main__":

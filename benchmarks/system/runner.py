@@ -1,9 +1,8 @@
-"""Tests of the runner: walks over a lossy network, walks in real time, killed runners, cold starts.
+"""Tests of the runner: walks over a lossy network, walks in real time, killed runners.
 
     python -m benchmarks.system.runner --part loss       # 21 speeds of a minute, simulated time
     python -m benchmarks.system.runner --part real-time  # ten minutes, two processes
     python -m benchmarks.system.runner --part kill       # fifty runners killed while they walk
-    python -m benchmarks.system.runner --part start      # time and memory of a cold start
     python -m benchmarks.system.runner --part real-time --policy aslip.onnx --priority 20
 
 Loss and jitter are simulated without sockets and clocks: supervisor, sequence numbers and twin are
@@ -28,7 +27,7 @@ from aslip.errors import one_line_errors
 class Config:
     """Settings of the benchmark."""
 
-    part: Literal["loss", "real-time", "kill", "start"] = "loss"
+    part: Literal["loss", "real-time", "kill"] = "loss"
     """Measurement to make."""
     policy: str = "straight"
     """Name of a shipped policy, or policy file."""
@@ -58,7 +57,6 @@ if __name__ == "__main__":
 
 import heapq
 import queue
-import resource
 import subprocess
 import sys
 import tempfile
@@ -89,11 +87,11 @@ _TICK_NS = 500_000
 
 def main(config: Config) -> None:
     """Measure a part and print its result."""
-    parts = {"loss": lossy_walks, "real-time": real_time, "kill": kill_runners, "start": start}
+    parts = {"loss": lossy_walks, "real-time": real_time, "kill": kill_runners}
     print(parts[config.part](config))
 
 
-class LossyWay:
+class LossyPath:
     """One direction of a network, with losses and delays.
 
     Args:
@@ -156,8 +154,8 @@ def lossy_walk(
     rng, jitter = np.random.default_rng(seed), config.jitter / CASSIE.physics_timestep
     client = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
     robot = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
-    states = LossyWay(robot, client, config.loss, jitter, rng)
-    commands = LossyWay(client, robot, config.loss, jitter, rng)
+    states = LossyPath(robot, client, config.loss, jitter, rng)
+    commands = LossyPath(client, robot, config.loss, jitter, rng)
     supervisor = Supervisor(loaded.controller)
     source, twin = Scheduled(Schedule.parse(str(speed))), TwinRobot()
     run = Run(supervisor, StateReadings(), source, say=lambda _: None)
@@ -273,19 +271,6 @@ def kill_runners(config: Config) -> str:
         f"{len(delays)} runners killed, the next one walked each time; damping after"
         f" {middle:.0f} ms (median), {largest:.0f} ms (largest); status of the last one: {status}"
     )
-
-
-def start(config: Config) -> str:
-    """Start runners without a robot; return times until they can walk, and their memory."""
-    times = []
-    for _ in range(5):
-        began = time.monotonic()
-        program = runner(config, "9", "--patience", "0.1")
-        times.append(program.line("robot at")[0] - began)
-        program.process.wait()
-    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    listed = ", ".join(f"{seconds:.2f}" for seconds in times)
-    return f"{config.policy}: ready after {listed} s, at most {memory:.0f} MiB"
 
 
 if __name__ == "__main__":

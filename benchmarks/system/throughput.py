@@ -50,6 +50,7 @@ if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
+import io
 import itertools
 import statistics
 import subprocess
@@ -58,7 +59,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -79,7 +80,7 @@ from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
 from aslip.training.collectors import LocalCollector
 from aslip.transforms import ActionDelta
-from benchmarks.common import MakeEnv, Policy, Subject, checkpoint_times, quiet
+from benchmarks.common import MakeEnv, Policy, Subject
 from recipes import ppo_aslip
 from recipes.ppo_presets import environments
 
@@ -236,36 +237,31 @@ class TimedCollector(LocalCollector):
 
 
 def update_table(config: Config) -> str:
-    """Table of times that a training spends on collection, learning and checkpoints."""
+    """Table of times that a training spends on collection and learning."""
     header = ["settings", "samples", "collection [s]", "learning [s]", "share of learning"]
-    header += ["copy of states [s]", "checkpoint [s]"]
     rows = []
     for name, preset in ppo_aslip.PRESETS.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
-        spans, cost = time_iterations(name, training, config.rounds)
+        spans = time_iterations(name, training, config.rounds)
         # the first batch only initialises the normaliser
         collecting = [delivered - asked for asked, delivered in spans[2:]]
         learning = [after[0] - before[1] for before, after in itertools.pairwise(spans[1:])]
         share = statistics.median(u / (c + u) for c, u in zip(collecting, learning, strict=True))
         cells = [name, str(training.samples)]
         cells += [f"{statistics.median(times):.2f}" for times in (collecting, learning)]
-        cells += [f"{100 * share:.0f} %", f"{cost['copied_s']:.2f}", f"{cost['written_s']:.2f}"]
-        rows.append(cells)
-    return markdown(header, rows, ["---", *["---:"] * 6])
+        rows.append([*cells, f"{100 * share:.0f} %"])
+    return markdown(header, rows, ["---", *["---:"] * 4])
 
 
 def time_iterations(
     preset: str, config: ppo_aslip.Config, number: int
-) -> tuple[list[tuple[float, float]], dict[str, float]]:
-    """Time the first iterations of a training.
+) -> list[tuple[float, float]]:
+    """Instants at which a training requested and got each of its first batches [s].
 
     Args:
         preset: name of the preset.
         config: its settings.
         number: number of iterations timed, after one of warm-up.
-
-    Returns:
-        Instants at which each batch was requested and delivered [s], and `checkpoint_times`.
     """
     made: list[TimedCollector] = []
 
@@ -273,15 +269,15 @@ def time_iterations(
         made.append(TimedCollector(*args, **settings))
         return made[-1]
 
-    with tempfile.TemporaryDirectory() as folder, quiet():
+    nowhere = io.StringIO()
+    silent = redirect_stdout(nowhere), redirect_stderr(nowhere)
+    with tempfile.TemporaryDirectory() as folder, silent[0], silent[1]:
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
-        parts = environments(preset)
-        ppo_aslip.main(short, **parts, make_collector=make_collector)
-        cost = checkpoint_times(max((short.out / "checkpoints").iterdir()))
-    return made[0].spans, cost
+        ppo_aslip.main(short, **environments(preset), make_collector=make_collector)
+    return made[0].spans
 
 
 def memory_table(config: Config) -> str:

@@ -21,7 +21,7 @@ from aslip.policy import find_policy
 from aslip.robot import CASSIE
 from aslip.show.plots import save_figure
 from aslip.training.run import TrainingRun
-from benchmarks.flags import Compared
+from benchmarks.flags import Common
 from recipes.ppo_settings import Config
 
 
@@ -88,7 +88,7 @@ def test_files_are_written_to_the_home_folder(home: Path, library: GaitLibrary) 
     TrainingRun(config.out, config, resume=False)
     assert GaitFolder(Path("~/gaits")).folder == home / "gaits"
     assert Recorder("~/w.mcap").path == home / "w.mcap"
-    assert Compared(out=Path("~/b")).out == home / "b"
+    assert Common(out=Path("~/b")).out == home / "b"
     names = {path.name for path in home.iterdir()}
     assert names == {"elsewhere", "new.npz", "pictures", "run", "again"}
     assert not [*Path.cwd().iterdir()]

@@ -20,8 +20,9 @@ from aslip.base.interval import Interval
 from aslip.base.writing import claimed
 from aslip.errors import ConfigurationError
 from aslip.library import DirectionGrid, GaitFolder, solve_directions
-from benchmarks.scorecard import target_record
-from benchmarks.scorecard.target_record import TargetRecord
+from benchmarks.scorecard import record as record_module
+from benchmarks.scorecard.record import ValueRecord
+from benchmarks.scorecard.verdicts import Claim
 from recipes import direction_library
 from tests.training.run_folder import Settings, open_run
 
@@ -138,7 +139,7 @@ def test_a_folder_of_gaits_or_ablations_in_use_is_refused(tmp_path: Path) -> Non
         for work in (
             lambda: solve_directions(grid, GaitFolder(tmp_path), workers=1),
             lambda: direction_library.main(config),
-            lambda: ablate.main(ablate.Config(("default",), (0,), out=tmp_path)),
+            lambda: ablate.main(ablate.Config(variants=("default",), out=tmp_path)),
         ):
             with pytest.raises(ConfigurationError, match=OWNER):
                 work()
@@ -149,15 +150,15 @@ def test_records_of_two_processes_keep_the_values_of_both(
 ) -> None:
     """The second one waits until the first has read, added and written."""
     path, names = tmp_path / "record.json", ("straight", "robust")
-    write = target_record.write_text
+    write, claims = record_module.write_text, [Claim("speed", "x", at_most=1.0)]
 
     def slow(*args: Any) -> None:
         time.sleep(0.2)
         write(*args)
 
-    monkeypatch.setattr(target_record, "write_text", slow)
+    monkeypatch.setattr(record_module, "write_text", slow)
     context = multiprocessing.get_context("fork")
-    records = [TargetRecord(path, {"a": 1}) for _ in names]
+    records = [ValueRecord(path, {"a": 1}, claims) for _ in names]
     added = [
         context.Process(target=record.add, args=(name, {"speed": Interval(0.1, 0.1, 0.1)}))
         for record, name in zip(records, names, strict=True)
@@ -166,5 +167,5 @@ def test_records_of_two_processes_keep_the_values_of_both(
         process.start()
     for process in added:
         process.join()
-    assert {one["name"] for one in TargetRecord(path, {}).policies} == set(names)
+    assert {one["name"] for one in ValueRecord(path, {}, claims).policies} == set(names)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]

@@ -25,8 +25,8 @@ from aslip.log import Recorder, read, recover, replay
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.rom import SampledMotion
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint
-from benchmarks.common import Holder
 from tests.helpers import identical
+from tests.training.trainings import Holder
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import ablate
+import ablate_directions
+import ablate_straight
 import ablation
+import ppo_aslip
 import pytest
 import torch
-from ablate import VARIANTS
+from ablate_settings import TASKS, Config
+from ablate_straight import VARIANTS
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.envs import Stack, default_stack, evaluation_stack
+from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.transforms import ActionDelta, AssembleObservation
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import WalkResult
@@ -28,8 +34,9 @@ def small() -> Iterator[None]:
     """Small updates and short walks, without a picture of each training."""
     small = {"num_envs": 4, "samples": 16, "minibatch": 8, "eval_steps": 3}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ablate.PRESETS, "default", ablate.replace(ablate.PRESETS["default"], **small))
-        patch.setattr(ablate.ppo_aslip, "save_figure", lambda *_: None)
+        presets = ablate_straight.PRESETS
+        patch.setitem(presets, "default", replace(presets["default"], **small))
+        patch.setattr(ppo_aslip, "save_figure", lambda *_: None)
         yield
 
 
@@ -46,16 +53,20 @@ def finished(trained_once: tuple[Path, Any], tmp_path: Path) -> Path:
     return shutil.copytree(trained_once[0], tmp_path / "runs")
 
 
-def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> ablate.Config:
-    return ablate.Config(variants, seeds, total_steps=16, num_envs=4, out=out)
+def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> Config:
+    return Config(variants=variants, seeds=seeds, total_steps=16, num_envs=4, out=out)
+
+
+def stack_of(name: str) -> Stack:
+    return (VARIANTS[name].make_stack or default_stack)(aslip.GaitLibrary.load())
 
 
 def env_of(name: str) -> Any:
-    return aslip.make_env(num_envs=2, **VARIANTS[name].edits())
+    return aslip.make_env(num_envs=2, stack=stack_of(name))
 
 
 def evaluation_env_of(name: str) -> Any:
-    stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
+    stack = evaluation_stack(stack_of(name))
     return aslip.make_env(num_envs=2, num_threads=1, stack=stack, seed=0)
 
 
@@ -156,8 +167,8 @@ def test_an_interrupted_training_gives_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An ablation continues where it stopped if command and budget are the same."""
-    config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
-    update, calls = ablate.ppo_aslip.update, []
+    config = replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
+    update, calls = ppo_aslip.update, []
 
     def interrupted(*args: Any) -> dict[str, float]:
         calls.append(args)
@@ -165,20 +176,20 @@ def test_an_interrupted_training_gives_no_result(
             raise KeyboardInterrupt
         return update(*args)
 
-    monkeypatch.setattr(ablate.ppo_aslip, "update", interrupted)
+    monkeypatch.setattr(ppo_aslip, "update", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        ablate.main(config, go_on="python ablate.py --seeds 0")
+        ablate.main(config, resume_command="python ablate.py --seeds 0")
     said = capsys.readouterr().err
     assert "training stopped after 16 policy steps" in said
     assert "default-0" in said
     assert "to continue: python ablate.py --seeds 0\n" in said
-    other = ablate.replace(config, total_steps=64)
+    other = replace(config, total_steps=64)
     with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
         ablate.main(other)
     # also before trainings of variants that come first
     with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
-        ablate.main(ablate.replace(other, variants=("no_symmetry", "default")))
-    assert not list(tmp_path.glob("*/judged.json"))
+        ablate.main(replace(other, variants=("no_symmetry", "default")))
+    assert not list(tmp_path.glob("*/results.json"))
     assert not (tmp_path / "no_symmetry-0").exists()
     found = ablate.main(config)
     assert len(calls) == 2 + 1 + 2
@@ -186,7 +197,7 @@ def test_an_interrupted_training_gives_no_result(
 
 
 def test_damaged_results_are_named(finished: Path) -> None:
-    file = finished / "default-0" / "judged.json"
+    file = finished / "default-0" / "results.json"
     for text in (file.read_text()[:-20], "[]", "{}"):
         file.write_text(text)
         with pytest.raises(FileDamagedError, match="default-0"):
@@ -197,22 +208,21 @@ def test_results_of_another_budget_are_refused(finished: Path) -> None:
     """A finished training, whose learning rate has decayed, is not one with a larger budget."""
     for change in ({"total_steps": 32}, {"num_envs": 8}):
         with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
-            ablate.main(ablate.replace(tiny(finished, "default"), **change))
+            ablate.main(replace(tiny(finished, "default"), **change))
 
 
 def test_the_first_message_estimates_the_remaining_time(tmp_path: Path) -> None:
-    config = tiny(tmp_path, "default", "no_delta", seeds=(0, 1))
-    experiment = Mock(seconds=lambda: 3000.0)
-    said = ablation.announcement(config, experiment)
-    assert "4 of 4 trainings to go, 16 policy steps each: about 3:20:00 " in said
-    (tmp_path / "no_delta-1").mkdir()
-    (tmp_path / "no_delta-1" / "judged.json").write_text("{}")
-    said = ablation.announcement(config, experiment)
-    assert "3 of 4 trainings to go, 16 policy steps each: about 2:30:00 " in said
+    config, experiment = tiny(tmp_path), Mock(step_seconds=187.5)
+    for done, expected in (([None] * 4, "4 of 4"), ([None, None, [], None], "3 of 4")):
+        text = ablation.announcement(config, experiment, done)
+        hours = "3:20:00" if len(done) == done.count(None) else "2:30:00"
+        assert f"{expected} trainings to go, 16 policy steps each: about {hours} " in text
+    assert ablation.announcement(config, experiment, [[]]) == "all of 1 trainings are done"
 
 
-def test_the_names_on_the_command_line_are_those_of_the_variants() -> None:
-    assert tuple(VARIANTS) == ablate.NAMES
+def test_an_unknown_variant_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="no_delta"):
+        ablate.main(tiny(tmp_path, "no_dleta"))
 
 
 def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:
@@ -228,9 +238,10 @@ def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:
 
 
 def test_the_list_states_the_question_of_each_variant(capsys: pytest.CaptureFixture[str]) -> None:
-    assert ablate.main(ablate.Config(list=True)) == {}
-    printed = capsys.readouterr().out
-    assert all(name in printed and v.question in printed for name, v in VARIANTS.items())
+    for task, variants in (("straight", VARIANTS), ("directions", ablate_directions.VARIANTS)):
+        assert ablate.main(replace(TASKS[task], list=True)) == {}
+        printed = capsys.readouterr().out
+        assert all(name in printed and v.question in printed for name, v in variants.items())
 
 
 # ---------------------------------------------------------------- evaluation
@@ -295,14 +306,14 @@ def test_results_come_from_the_evaluation_stack(
 ) -> None:
     """Saved results come from walks of the saved policy on the evaluation stack."""
     envs, found = [], []
-    measure = ablate.evaluate
+    measure = ablate_straight.evaluate
 
     def spied(policy: Any, env: Any, *args: Any) -> Any:
         envs.append(env)
         found.append(measure(policy, env, *args))
         return found[-1]
 
-    for module in (ablate, ablate.ppo_aslip):
+    for module in (ablate_straight, ppo_aslip):
         monkeypatch.setattr(module, "evaluate", spied)
     kept = ablate.main(tiny(tmp_path, "reward_on_estimate"))["reward_on_estimate"][0]
     assert kept == found[-1]

@@ -7,10 +7,12 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import ablate
 import ablate_directions
 import pytest
 import torch
-from ablate_directions import NAMES, VARIANTS, Config
+from ablate_directions import VARIANTS
+from ablate_settings import TASKS
 from ppo_directions import DirectionConfig
 
 import aslip
@@ -40,14 +42,13 @@ def small() -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    "names", [("no_effort", "memory"), pytest.param(NAMES, marks=pytest.mark.slow)]
+    "names", [("no_effort", "memory"), pytest.param((*VARIANTS,), marks=pytest.mark.slow)]
 )
 def test_variants_train_and_walk(library: Path, tmp_path: Path, names: tuple[str, ...]) -> None:
     """Each walks the commands on the nominal robot, then on drawn ones."""
-    config = Config(
-        names, total_steps=16, num_envs=2, out=tmp_path, library=str(library), unloaded=library
-    )
-    found = ablate_directions.main(config)
+    small = {"variants": names, "total_steps": 16, "num_envs": 2, "out": tmp_path}
+    config = replace(TASKS["directions"], **small, library=str(library))
+    found = ablate.main(config)
     assert list(found) == [*names]
     for walks in found.values():
         assert len(walks[0]) == 4
@@ -62,16 +63,16 @@ def test_variants_train_and_walk(library: Path, tmp_path: Path, names: tuple[str
     usual = standing_library()
     table = replace(usual.table, motor_torque=2 * usual.table.motor_torque)
     GaitLibrary(usual.motions, table, transitions=usual.transitions).save(other)
-    with pytest.raises(ConfigurationError, match=r"had gaits of .* choose another --out"):
-        ablate_directions.main(replace(config, library=str(other)))
+    with pytest.raises(ConfigurationError, match=r"had .*library_sha256.* choose another --out"):
+        ablate.main(replace(config, library=str(other)))
     with pytest.raises(AssetError, match="nowhere"):
-        ablate_directions.main(replace(config, variants=NAMES, unloaded=Path("nowhere.npz")))
+        ablate.main(replace(config, library="nowhere.npz"))
 
 
 @pytest.mark.parametrize("heading", [0.5, 4.0])
 def test_the_world_frame_does_not_turn_with_the_path(heading: float) -> None:
     library = standing_library()
-    env = aslip.make_env(stack=VARIANTS["world_frame"].make_stack(library), num_threads=1, seed=0)
+    env = aslip.make_env(stack=ablate_directions.in_world_frame(library), num_threads=1, seed=0)
     td = env.reset()
     td["heading"] = torch.full((1, 1), heading)
     td["action"] = torch.zeros(1, 10)
@@ -93,7 +94,7 @@ def test_the_world_frame_does_not_turn_with_the_path(heading: float) -> None:
 def test_independent_gaits_are_those_of_the_library() -> None:
     library = standing_library()
     env = aslip.make_env(
-        stack=VARIANTS["independent_gaits"].make_stack(library), num_threads=1, seed=0
+        stack=ablate_directions.with_independent_gaits(library), num_threads=1, seed=0
     )
     td = env.reset()
     table = library.table
@@ -101,7 +102,3 @@ def test_independent_gaits_are_those_of_the_library() -> None:
     assert (commands == td["gait_command"]).all(-1).any()
     found = library.lookup(td["phase"], td["gait_command"], td["mode"])
     assert torch.equal(td["reference", "body_position"], found.body_position)
-
-
-def test_names_are_those_of_the_variants() -> None:
-    assert tuple(VARIANTS) == NAMES

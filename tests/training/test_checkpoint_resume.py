@@ -37,10 +37,16 @@ from aslip.training.collectors import LocalCollector
 from aslip.training.progress import read_progress
 from aslip.training.run import TrainingRun
 from aslip.transforms import Difficulty, ObservationNoise, RandomDynamics, RandomPushes
-from benchmarks.common import Holder
 from recipes import ppo_aslip
 from tests.helpers import MakeEnv, differing, identical
-from tests.training.trainings import TINY, count_updates, kill_training, resume_training, train
+from tests.training.trainings import (
+    TINY,
+    Holder,
+    count_updates,
+    kill_training,
+    resume_training,
+    train,
+)
 
 ROBOTS, STEPS = 4, 8
 

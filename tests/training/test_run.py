@@ -16,12 +16,12 @@ from aslip.training import run as run_module
 from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
-from benchmarks.common import quiet
 from tests.training.run_folder import (
     Settings,
     constant_network,
     open_run,
 )
+from tests.training.trainings import quiet
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from aslip.base.processes import ENDINGS
 from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
 from aslip.training.run import TrainingRun, TrainingStoppedError
-from benchmarks.common import quiet
 from tests.training.run_folder import (
     Settings,
     checkpoints,
@@ -26,6 +25,7 @@ from tests.training.run_folder import (
     save_steps,
     saved_steps,
 )
+from tests.training.trainings import quiet
 
 
 def test_the_last_three_checkpoints_are_kept(settings: Settings) -> None:

@@ -13,7 +13,6 @@ from aslip.base.provenance import peak_memory
 from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
 from aslip.training.run import TrainingStoppedError
-from benchmarks.common import quiet
 from tests.helpers import full_disk
 from tests.training.run_folder import (
     Settings,
@@ -24,6 +23,7 @@ from tests.training.run_folder import (
     save_steps,
     saved_steps,
 )
+from tests.training.trainings import quiet
 
 # --------------------------------------------------------------------- full disk
 

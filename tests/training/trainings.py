@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import logging
 import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from torchrl import torchrl_logger
+
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.progress import read_progress
-from benchmarks.common import Holder, quiet
 from recipes import ppo_aslip
 from tests.helpers import TINY as TWO_UPDATES
 
@@ -22,6 +27,40 @@ TINY = replace(TWO_UPDATES, total_steps=512, eval_interval=400)
 
 PATIENCE = 120.0
 """Duration without progress after which a training counts as hung [s]."""
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[list[str]]:
+    """Silence output and progress bars; yields the list of TorchRL's log messages."""
+    messages: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            messages.append(record.getMessage())
+
+    handlers = torchrl_logger.handlers[:]
+    torchrl_logger.handlers[:] = [Listener()]
+    silence = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+            yield messages
+    finally:
+        torchrl_logger.handlers[:] = handlers
+
+
+class Holder:
+    """Checkpoint component that accepts any state."""
+
+    def __init__(self, state: Any = None) -> None:
+        self.state = state
+
+    def state_dict(self) -> Any:
+        """Loaded state."""
+        return self.state
+
+    def load_state_dict(self, state: Any) -> None:
+        """Keep a state."""
+        self.state = state
 
 
 def train(config: ppo_aslip.Config, **parts: Any) -> dict[str, Any]:
