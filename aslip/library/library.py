@@ -2,7 +2,8 @@
 
 Guarantees: the reference is continuous in phase and command, periodic and once continuously
 differentiable in phase, and linear along each axis of the command between neighbouring motions. At
-the command of a motion and the phase of a sample it equals that sample.
+the command of a motion and the phase of a sample it equals that sample, up to the error of a table
+of low rank.
 """
 
 from __future__ import annotations
@@ -103,8 +104,8 @@ class GaitLibrary(nn.Module):
         """Tabulate motions and make a library of them.
 
         Arguments and errors are those of `tabulate` and of the class. With a `rank`, the table of
-        more motions than that is a `LowRankTable` of so many components, in which 10 000 gaits take
-        15 MB.
+        more motions than that is a `LowRankTable` of so many components: 10 000 gaits and 192
+        components take 13 MB with 48 samples in single precision.
         """
         from aslip.library.tabulate import tabulate
 

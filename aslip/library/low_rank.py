@@ -91,7 +91,7 @@ class LowRankTable(CommandTable):
             raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
 
     @classmethod
-    def of(cls, table: GaitTable, rank: int) -> LowRankTable:
+    def of(cls, table: GaitTable | LowRankTable, rank: int) -> LowRankTable:
         """Best approximation of a table by a number of components or fewer, in its precision.
 
         The components are the first singular vectors of the columns of the reference, each column

@@ -46,9 +46,9 @@ def test_distance_is_that_of_mujocos_geoms(
 
 
 def test_legs_of_the_shipped_gaits_keep_clear(clearance: LegClearance) -> None:
-    """All samples of all gaits in all directions, of stop and of start."""
+    """Every third sample of all gaits in all directions, and those of stop and start."""
     library = GaitLibrary.load("directions")
     assert library.transitions is not None
-    for table, least in ((library.table, 0.037), (library.transitions, 0.124)):
-        qpos = table.qpos.reshape(-1, table.qpos.shape[-1])
-        assert clearance(qpos).min() == pytest.approx(least, abs=1e-3)
+    gaits = library.table.qpos[:, ::3]
+    for qpos, least in ((gaits, 0.037), (library.transitions.qpos, 0.124)):
+        assert clearance(qpos.reshape(-1, qpos.shape[-1])).min() == pytest.approx(least, abs=1e-3)
