@@ -281,10 +281,7 @@ def corner_weights(weights: Sequence[Tensor]) -> Tensor:
 
 
 def sum_rows(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
-    """Weighted sums (*b, k) of rows (*b, j), by index, of a table (n, k).
-
-    Rows are not copied; that takes thirty times longer.
-    """
+    """Weighted sums (*b, k) of rows (*b, j), by index, of a table (n, k); rows are not copied."""
     if torch.compiler.is_exporting():  # a graph could do the sum below in a loop only
         rows = table.index_select(0, index.flatten().long()).reshape(*index.shape, -1)
         return (weights.double().unsqueeze(-2) @ rows.double()).squeeze(-2).to(table.dtype)
