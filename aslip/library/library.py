@@ -240,7 +240,7 @@ class GaitLibrary(nn.Module):
         """Reference motion at a phase and a command (Sec. III-A).
 
         Interpolation is cubic in phase and multilinear in the command. Phase wraps; commands are
-        clamped to the range of the library.
+        clamped to the range of the library. Batch shapes are broadcast.
 
         Args:
             phase: (*b, 1) stride fraction; 0 is left lift-off.
