@@ -56,6 +56,9 @@ class Config(UserPaths):
     """Samples of a stride."""
     model: SlipParameters = DIRECTION_MODEL
     """Model and bounds of the gaits."""
+    rank: int = 192
+    """Components of which motions are sums, see `aslip.library.low_rank.LowRankTable`; no more
+    gaits than that are stored one by one."""
     leg_dynamics: bool = True
     """Feed the torques forward that carry and accelerate the legs, not only those that balance the
     model's leg forces."""
@@ -164,6 +167,7 @@ def _tabulate(config: Config, gaits: Sequence[Gait]) -> GaitLibrary:
             single_precision=True,
             missing=True,
             keep_motions=False,
+            rank=config.rank,
             leg_dynamics=config.leg_dynamics,
             workers=config.workers,
             folder=config.out / "rows",

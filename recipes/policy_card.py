@@ -2,6 +2,7 @@
 
     python -m recipes.policy_card --name mine --run runs/ppo_aslip     # ship a run's policy
     python -m recipes.policy_card --name mine                          # write its card again
+    python -m recipes.policy_card --name mine --library directions     # follow other gaits
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
@@ -32,6 +33,9 @@ class Config(UserPaths):
     """Folder for the benchmarks' results."""
     measure: bool = True
     """Walk, run the benchmarks, and add their tables to the card."""
+    library: str | None = None
+    """Library that the policy follows from now on, shipped or a file. Its file and its card still
+    name the one of its training."""
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -57,6 +61,7 @@ from aslip.base.provenance import provenance
 from aslip.base.tables import markdown
 from aslip.base.writing import replacing
 from aslip.envs import make_env
+from aslip.library import GaitLibrary
 from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
@@ -113,6 +118,8 @@ def main(config: Config) -> Path:
     shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
     if config.run is not None:
         _ship(config, config.run, shipped, curve)
+    if config.library is not None:
+        _move(shipped, config.library)
     load_policy(shipped)  # raises if damaged
     about = read_card(shipped)
     parts = [f"# The policy `{config.name}`", training_section(about)]
@@ -144,6 +151,11 @@ def training_section(about: dict[str, Any]) -> str:
         ["versions", versions or "not recorded"],
         ["settings", ", ".join(f"{k} {v}" for k, v in settings.items()) or "not recorded"],
     ]
+    if trained := made.get("trained_on"):
+        now = about["library_sha256"][:12]
+        rows.append(
+            ["gaits", f"trained on those of SHA-256 {trained[:12]}, follows those of {now}"]
+        )
     return f"## Training\n\n{markdown(['', ''], rows, _LEFT)}"
 
 
@@ -324,6 +336,16 @@ def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
     curve.unlink(missing_ok=True)
     if (run / "learning_curve.png").exists():
         _copy(run / "learning_curve.png", curve)
+
+
+def _move(policy: Path, library: str) -> None:
+    """Name another library as the one that a policy follows, and keep the one of its training."""
+    entries = POLICY_FORMAT.read(policy)
+    card = json.loads(entries[CARD])
+    if card["library_sha256"] is not None:
+        card["made_by"].setdefault("trained_on", card["library_sha256"])
+    card["library_sha256"] = GaitLibrary.load(library).sha256
+    POLICY_FORMAT.write(policy, {**entries, CARD: as_json(card)})
 
 
 def _copy(source: Path, target: Path) -> None:

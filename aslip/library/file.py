@@ -10,6 +10,7 @@ import numpy as np
 
 from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.errors import AssetError
+from aslip.library.low_rank import LOW_RANK_ARRAYS, LowRankTable
 from aslip.library.table import ARRAYS, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot
@@ -23,7 +24,7 @@ FORMAT = ArchiveFormat(
 
 Headings that are 0 everywhere and the mask of a full grid are left out, and so are transitions that
 a library does not have. Angles and velocities of motors are left out where they are those of the
-configuration.
+configuration. A table of low rank has the arrays of `aslip.library.low_rank.LowRankTable`.
 """
 _MADE_BY = "made_by.json"
 _HEADINGS = {"body_heading": (), "foot_heading": (2,)}
@@ -33,7 +34,7 @@ _MOTORS = {"motor_position": "qpos", "motor_velocity": "qvel"}
 def write_library(
     path: Path,
     motions: Sequence[Motion],
-    table: GaitTable,
+    table: GaitTable | LowRankTable,
     made_by: Mapping[str, str],
     transitions: TransitionTable | None = None,
 ) -> None:
@@ -52,25 +53,18 @@ def write_library(
     Raises:
         OSError: the file cannot be written; an existing one is unchanged.
     """
-    arrays = {f"table/{name}": getattr(table, name) for name in (*ARRAYS, "torque_jumps")}
-    for name in _HEADINGS:
-        if not getattr(table, name).any():
-            del arrays[f"table/{name}"]
-    for name in _MOTORS:
-        if np.array_equal(getattr(table, name), _motors(name, vars(table), table.robot)):
-            del arrays[f"table/{name}"]
+    arrays = _table_arrays(table)
     if table.present is not None:
         arrays["table/present"] = table.present
     arrays |= {f"table/axis{i}": axis for i, axis in enumerate(table.axes)}
     if transitions is not None:
         names = ("touchdown", "durations", *TRANSITION_ARRAYS)
         arrays |= {f"transitions/{name}": getattr(transitions, name) for name in names}
-    samples = table.qpos.shape[-2]
     for i, motion in enumerate(motions):
         stored = (
             motion
             if isinstance(motion, Gait | SampledMotion)
-            else SampledMotion.from_motion(motion, samples)
+            else SampledMotion.from_motion(motion, table.samples)
         )
         arrays |= {f"motion{i:02d}/{name}": value for name, value in stored.to_arrays().items()}
     entries = {f"{name}.npy": npy(np.asarray(array)) for name, array in arrays.items()}
@@ -79,7 +73,7 @@ def write_library(
 
 def read_library(
     path: Path, robot: Robot = CASSIE
-) -> tuple[list[Motion], GaitTable, dict[str, str], TransitionTable | None]:
+) -> tuple[list[Motion], GaitTable | LowRankTable, dict[str, str], TransitionTable | None]:
     """Read motions, table and origin of a library of a robot, and its transitions or None.
 
     Raises:
@@ -108,9 +102,27 @@ def read_library(
     return motions, table, made_by, transitions
 
 
-def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable:
+def _table_arrays(table: GaitTable | LowRankTable) -> dict[str, np.ndarray]:
+    """Arrays of a table by name in the file, without axes and mask."""
+    if isinstance(table, LowRankTable):
+        return {f"table/{name}": getattr(table, name) for name in LOW_RANK_ARRAYS}
+    arrays = {f"table/{name}": getattr(table, name) for name in (*ARRAYS, "torque_jumps")}
+    for name in _HEADINGS:
+        if not getattr(table, name).any():
+            del arrays[f"table/{name}"]
+    for name in _MOTORS:
+        if np.array_equal(getattr(table, name), _motors(name, vars(table), table.robot)):
+            del arrays[f"table/{name}"]
+    return arrays
+
+
+def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable | LowRankTable:
     axes = tuple(arrays[f"axis{i}"] for i in range(sum(name.startswith("axis") for name in arrays)))
-    qpos, present = arrays["qpos"], arrays.get("present")
+    present = arrays.get("present")
+    if "coefficients" in arrays:
+        given = {name: arrays[name] for name in LOW_RANK_ARRAYS}
+        return LowRankTable(axes=axes, robot=robot, present=present, **given)
+    qpos = arrays["qpos"]
     level = {n: np.zeros((*qpos.shape[:-1], *s), qpos.dtype) for n, s in _HEADINGS.items()}
     columns = {**level, **{name: arrays[name] for name in ARRAYS if name in arrays}}
     columns |= {name: _motors(name, columns, robot) for name in _MOTORS.keys() - columns.keys()}

@@ -11,6 +11,8 @@ from torch import Tensor, nn
 from aslip.library.region import extrapolate, hull_gauge, reached_corners
 
 _BLOCK = 256  # motions whose splines are computed at once
+# six times the weights of four control points: factors of t^3, t^2, t and 1
+_BASIS = ((-1, 3, -3, 1), (3, -6, 0, 4), (-3, 3, 3, 1), (1, 0, 0, 0))
 
 
 class CommandGrid(nn.Module):
@@ -33,6 +35,8 @@ class CommandGrid(nn.Module):
         self._count = len(axes)
         for i, axis in enumerate(axes):
             self.register_buffer(f"_axis{i}", torch.from_numpy(np.array(axis)), persistent=False)
+        ends = torch.tensor(np.array([[axis[i] for axis in axes] for i in (0, -1)]))
+        self.register_buffer("_ends", ends, persistent=False)
         self._cut = False
         self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
         if missing is not None and missing.any():
@@ -49,7 +53,9 @@ class CommandGrid(nn.Module):
         rows[np.concatenate([np.flatnonzero(~missing), self._beyond])] = np.arange(
             np.count_nonzero(~missing) + len(self._beyond)
         )
-        for name, array in zip(("_normals", "_centre", "rows"), (*gauge, rows), strict=True):
+        centre = np.array([axis[0] for axis in self._axes])  # of axes of one value
+        centre[self._wide] = gauge[1]
+        for name, array in (("_normals", gauge[0]), ("_centre", centre), ("rows", rows)):
             self.register_buffer(name, torch.from_numpy(array.copy()), persistent=False)
 
     def fill(self, values: np.ndarray) -> np.ndarray:
@@ -67,7 +73,7 @@ class CommandGrid(nn.Module):
     def gauge(self, command: Tensor) -> Tensor:
         """Distance (*b, 1) of commands from the centre of a cut region, 1 at its border."""
         normals = self.get_buffer("_normals")
-        way = command[..., self._wide].to(normals.dtype) - self.get_buffer("_centre")
+        way = (command.to(normals.dtype) - self.get_buffer("_centre"))[..., self._wide]
         return (way @ normals.T).amax(-1, keepdim=True)
 
     def clamp(self, command: Tensor) -> Tensor:
@@ -76,17 +82,10 @@ class CommandGrid(nn.Module):
         Each axis is clamped; commands outside a convex hull then move towards its centre, which is
         the zero command if the hull contains it.
         """
-        axes = [self.get_buffer(f"_axis{i}") for i in range(self._count)]
-        command = torch.cat(
-            [
-                command[..., i : i + 1].to(axis.dtype).clamp(axis[0], axis[-1])
-                for i, axis in enumerate(axes)
-            ],
-            dim=-1,
-        )
+        low, high = self.get_buffer("_ends")
+        command = command.to(low.dtype).clamp(low, high)
         if self._cut:
-            centre = torch.stack([axis[0] for axis in axes])  # of axes of one value
-            centre[self._wide] = self.get_buffer("_centre")
+            centre = self.get_buffer("_centre")
             command = centre + (command - centre) / self.gauge(command).clamp(min=1.0)
         return command
 
@@ -200,6 +199,51 @@ class LocalTable(nn.Module):
         return _hermite(before, after, fraction)
 
 
+class SplineTable(nn.Module):
+    """Interpolation over phase of motions that are a mean plus weighted sums of r components.
+
+    Periodic cubic splines, like those of `PeriodicTable`. The components are summed before anything
+    is interpolated over phase, so a look-up costs no more than that of eight motions. The sum for
+    one robot does not depend on the others.
+
+    Args:
+        controls: (m, r + 1, k) control points of the components, then of the mean, see
+            `spline_controls`.
+    """
+
+    controls: Tensor
+    """(m + 3, r + 1, k) control points: the last ones, all, and the first two."""
+
+    def __init__(self, controls: np.ndarray) -> None:
+        super().__init__()
+        around = torch.from_numpy(np.concatenate([controls[-1:], controls, controls[:2]]))
+        self.register_buffer("controls", around, persistent=False)
+        # the four control points of a component one after another, so that sums end with the mean
+        rows = np.arange(4 * controls.shape[1], dtype=np.int32).reshape(4, -1).T.flatten()
+        self.register_buffer("_rows", torch.from_numpy(rows), persistent=False)
+        basis = torch.from_numpy(np.transpose(_BASIS) / 6)
+        self.register_buffer("_basis", basis, persistent=False)
+
+    def values(self) -> np.ndarray:
+        """(m, r + 1, k) control points: a read-only view."""
+        view = self.controls.numpy()[1:-2]
+        view.setflags(write=False)
+        return view
+
+    def forward(self, phase: Tensor, coefficients: Tensor) -> Tensor:
+        """Values (*b, k) of motions with coefficients (*b, r), at phases (*b, 1)."""
+        samples, components = len(self.controls) - 3, self.controls.shape[1]
+        column, fraction = _place(phase.double(), samples)
+        index = column.int() * components + self.get_buffer("_rows")
+        basis, *lower = self.get_buffer("_basis")
+        for term in lower:
+            basis = term + fraction.squeeze(-1) * basis
+        # the sum of these weights is 1, to the last digit only in double precision
+        basis = basis.to(coefficients.dtype).unsqueeze(-2)
+        weights = nn.functional.pad(coefficients, (0, 1), value=1.0).unsqueeze(-1) * basis
+        return sum_rows(self.controls.flatten(0, 1), index, weights.flatten(-2))
+
+
 class OpenTable(nn.Module):
     """Interpolation of n motions with two ends, from m samples of k values, both ends included.
 
@@ -227,6 +271,28 @@ class OpenTable(nn.Module):
         return _hermite(before, after, (position - left).unsqueeze(-1)).squeeze(-2)
 
 
+def corner_weights(weights: Sequence[Tensor]) -> Tensor:
+    """Weights (*b, 2^c) of the corners of cells, from those (*b, 1) of the upper ones per axis."""
+    product = torch.ones_like(weights[0])
+    for weight in weights:
+        pair = torch.cat([1 - weight, weight], dim=-1)
+        product = (product.unsqueeze(-1) * pair.unsqueeze(-2)).flatten(-2)
+    return product
+
+
+def sum_rows(table: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+    """Weighted sums (*b, k) of rows (*b, j), by index, of a table (n, k); rows are not copied."""
+    if torch.compiler.is_exporting():  # a graph could do the sum below in a loop only
+        rows = table.index_select(0, index.flatten().long()).reshape(*index.shape, -1)
+        return (weights.double().unsqueeze(-2) @ rows.double()).squeeze(-2).to(table.dtype)
+    weights = weights.to(table.dtype)
+    flat = index.reshape(-1, index.shape[-1])
+    summed = nn.functional.embedding_bag(
+        flat, table, per_sample_weights=weights.reshape(flat.shape), mode="sum"
+    )
+    return summed.reshape(*index.shape[:-1], table.shape[-1])
+
+
 def _place(phase: Tensor, samples: int) -> tuple[Tensor, Tensor]:
     """Last sample (*b, 1) of a period before phases (*b, 1), and the fraction (*b, 1, 1) after."""
     position = (phase % 1.0) * samples
@@ -246,18 +312,36 @@ def _nodes_at(nodes: Tensor, index: Tensor) -> Tensor:
 def periodic_slopes(values: np.ndarray) -> np.ndarray:
     """Slopes (n, m, k) per sample of the periodic cubic splines through samples (n, m, k).
 
-    They equal those of `scipy.interpolate.CubicSpline` bit for bit, without its import of 0.3 s.
-    The system
-    s[j - 1] + 4 s[j] + s[j + 1] = 3 (y[j + 1] - y[j - 1]) is reduced by its last unknown to a
-    tridiagonal one, which Gaussian elimination solves.
+    They solve s[j - 1] + 4 s[j] + s[j + 1] = 3 (y[j + 1] - y[j - 1]), and equal those of
+    `scipy.interpolate.CubicSpline` bit for bit, without its import of 0.3 s.
     """
     steps = np.diff(values, axis=1, append=values[:, :1]).swapaxes(0, 1)
-    right = 3 * (steps + np.roll(steps, 1, axis=0))
-    ends = np.zeros((len(right) - 1, 1, 1))
+    return _periodic(3 * (steps + np.roll(steps, 1, axis=0))).swapaxes(0, 1)
+
+
+def spline_controls(values: np.ndarray) -> np.ndarray:
+    """Control points (m, n, k) of the periodic cubic splines through samples (m, n, k).
+
+    They solve c[j - 1] + 4 c[j] + c[j + 1] = 6 y[j]; `spline_samples` is the inverse.
+    """
+    return _periodic(6 * values)
+
+
+def spline_samples(controls: np.ndarray) -> np.ndarray:
+    """Samples (m, n, k) of periodic cubic splines with control points (m, n, k)."""
+    return (np.roll(controls, 1, axis=0) + 4 * controls + np.roll(controls, -1, axis=0)) / 6
+
+
+def _periodic(right: np.ndarray) -> np.ndarray:
+    """Solution (m, ...) of x[j - 1] + 4 x[j] + x[j + 1] = right[j], periodic.
+
+    The system is reduced by its last unknown to a tridiagonal one.
+    """
+    ends = np.zeros((len(right) - 1, *(1 for _ in right.shape[1:])))
     ends[[0, -1]] = -1.0
     free, bound = _tridiagonal(right[:-1]), _tridiagonal(ends)
     last = (right[-1] - free[0] - free[-1]) / (4 + bound[0] + bound[-1])
-    return np.concatenate([free + last * bound, last[None]]).swapaxes(0, 1)
+    return np.concatenate([free + last * bound, last[None]])
 
 
 def open_slopes(values: np.ndarray) -> np.ndarray:
@@ -272,7 +356,10 @@ def open_slopes(values: np.ndarray) -> np.ndarray:
 
 
 def _tridiagonal(right: np.ndarray) -> np.ndarray:
-    """Solution (m, ...) of x[j - 1] + 4 x[j] + x[j + 1] = right[j], zero beyond both ends."""
+    """Solution (m, ...) of x[j - 1] + 4 x[j] + x[j + 1] = right[j], zero beyond both ends.
+
+    Gaussian elimination.
+    """
     x, diagonal = right.copy(), np.full(len(right), 4.0)
     for j in range(1, len(x)):
         factor = 1 / diagonal[j - 1]

@@ -65,6 +65,7 @@ def single_reference_library(
         )
     speeds = np.array([0.0, top_speed])
     one = GaitLibrary.from_motions([walk], samples=samples, torque_jumps=True)
+    assert isinstance(one.table, GaitTable)  # not of low rank
     walks = [StretchedWalk(walk, float(speed)) for speed in speeds]
     return GaitLibrary(walks, _stretched(one.table, speeds))
 

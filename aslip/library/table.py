@@ -20,8 +20,55 @@ FEWEST_SAMPLES = 4
 """Fewest samples of a stride for cubic interpolation."""
 
 
+class CommandTable:
+    """Grid of commands of a table, a convex part of which has motions."""
+
+    axes: tuple[np.ndarray, ...]
+    present: np.ndarray | None
+
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Number of commands along each axis."""
+        return tuple(map(len, self.axes))
+
+    @property
+    def commands(self) -> np.ndarray:
+        """(n, c) commands of the motions; the last axis of the grid varies fastest."""
+        mesh = np.meshgrid(*self.axes, indexing="ij")
+        return np.stack([axis.ravel() for axis in mesh], axis=1)[~self.missing]
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(p,) True at points of the flattened grid without a motion."""
+        if self.present is None:
+            return np.zeros(math.prod(self.grid), dtype=bool)
+        return ~self.present.ravel()
+
+    def _check_grid(self) -> None:
+        """Check the axes and the mask of motions, and make them read-only."""
+        axes = tuple(read_only(axis) for axis in self.axes)
+        object.__setattr__(self, "axes", axes)
+        if not axes or not all(
+            axis.ndim == 1 and len(axis) and np.isfinite(axis).all() and (np.diff(axis) > 0).all()
+            for axis in axes
+        ):
+            raise ConfigurationError(
+                "each axis of a gait library needs ascending commands, got"
+                f" {[axis.tolist() for axis in axes]}"
+            )
+        if self.present is None:
+            return
+        present = np.array(self.present, dtype=bool)
+        if present.shape != self.grid:
+            raise ShapeError(f"present must have shape {self.grid}, got {present.shape}")
+        if not present.any():
+            raise ConfigurationError("a table needs a motion at one command or more, got none")
+        present.setflags(write=False)
+        object.__setattr__(self, "present", None if present.all() else present)
+
+
 @dataclass(frozen=True, eq=False)
-class GaitTable:
+class GaitTable(CommandTable):
     """Motions over a grid of commands, sampled at equal steps of phase.
 
     In shapes, n is the number of motions, in ascending order of commands, m the number of phases,
@@ -73,33 +120,18 @@ class GaitTable:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
-        object.__setattr__(self, "axes", tuple(_read_only(axis) for axis in self.axes))
+        self._check_grid()
         for name in ARRAYS:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
-        self._check_axes()
-        self._check_present()
+            object.__setattr__(self, name, read_only(getattr(self, name)))
         for name in ARRAYS:
             self._check(name)
         if not (self.strides > 0).all():
             raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
 
     @property
-    def grid(self) -> tuple[int, ...]:
-        """Number of commands along each axis."""
-        return tuple(map(len, self.axes))
-
-    @property
-    def commands(self) -> np.ndarray:
-        """(n, c) commands of the motions; the last axis of the grid varies fastest."""
-        mesh = np.meshgrid(*self.axes, indexing="ij")
-        return np.stack([axis.ravel() for axis in mesh], axis=1)[~self.missing]
-
-    @property
-    def missing(self) -> np.ndarray:
-        """(p,) True at points of the flattened grid without a motion."""
-        if self.present is None:
-            return np.zeros(math.prod(self.grid), dtype=bool)
-        return ~self.present.ravel()
+    def samples(self) -> int:
+        """Number m of samples of a stride."""
+        return self.qpos.shape[1]
 
     @cached_property
     def sha256(self) -> str:
@@ -108,43 +140,9 @@ class GaitTable:
         arrays |= {f"axis{i}": axis for i, axis in enumerate(self.axes)}
         return hash_arrays(arrays, f"{self.torque_jumps}")
 
-    def _check_present(self) -> None:
-        if self.present is None:
-            return
-        present = np.array(self.present, dtype=bool)
-        if present.shape != self.grid:
-            raise ShapeError(f"present must have shape {self.grid}, got {present.shape}")
-        if not present.any():
-            raise ConfigurationError("a table needs a motion at one command or more, got none")
-        present.setflags(write=False)
-        object.__setattr__(self, "present", None if present.all() else present)
-
-    def _check_axes(self) -> None:
-        if not self.axes or not all(
-            axis.ndim == 1 and len(axis) and np.isfinite(axis).all() and (np.diff(axis) > 0).all()
-            for axis in self.axes
-        ):
-            raise ConfigurationError(
-                "each axis of a gait library needs ascending commands, got"
-                f" {[axis.tolist() for axis in self.axes]}"
-            )
-
-    def _shape(self, name: str) -> tuple[int, ...]:
-        """Shape of one sample of an array."""
-        kind, indices = name.split("_")[0], self.robot.indices
-        if kind == "motor":
-            return (len(self.robot.motor_names),)
-        shapes = {
-            "qpos": (indices.num_qpos,),
-            "qvel": (indices.num_qvel,),
-            "body_heading": (),
-            "foot_heading": (2,),
-        }
-        return shapes.get(name, (2, 3) if kind == "foot" else (3,))
-
     def _check(self, name: str) -> None:
         array, samples = getattr(self, name), self.qpos.shape[1:-1]
-        inner = () if name == "strides" else (*samples, *self._shape(name))
+        inner = () if name == "strides" else (*samples, *row_shape(name, self.robot))
         motions = np.count_nonzero(~self.missing)
         enough = len(samples) == 1 and samples[0] >= FEWEST_SAMPLES
         if array.shape != (motions, *inner) or not enough:
@@ -162,7 +160,20 @@ ARRAYS = tuple(f.name for f in fields(GaitTable) if f.name not in _SETTINGS)
 """Names of a table's arrays over motions."""
 
 
-def _read_only(values: np.ndarray) -> np.ndarray:
+def row_shape(name: str, robot: Robot) -> tuple[int, ...]:
+    """Shape of one sample of an array of a robot's table."""
+    kind = name.split("_")[0]
+    shapes = {
+        "motor": (len(robot.motor_names),),
+        "qpos": (robot.indices.num_qpos,),
+        "qvel": (robot.indices.num_qvel,),
+        "body": () if name == "body_heading" else (3,),
+        "foot": (2,) if name == "foot_heading" else (2, 3),
+    }
+    return shapes[kind]
+
+
+def read_only(values: np.ndarray) -> np.ndarray:
     """Read-only array in the precision of `values`; a copy, unless these are read-only already."""
     single = np.asarray(values).dtype == np.float32
     array = np.asarray(values, dtype=np.float32 if single else np.float64)

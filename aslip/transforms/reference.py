@@ -147,8 +147,7 @@ def reference_and_goal(
             for lead in leads
         ]
         phases, modes = (torch.stack(part) for part in zip(*later, strict=True))
-    commands = command.expand(*phases.shape[:-1], command.shape[-1])
-    found = library.lookup(phases, commands, modes)
+    found = library.lookup(phases, command, modes)
     motors = leads.index(motor_lead)
     reference = {name: getattr(found, name)[motors] for name in _MOTORS}
     reference |= {name: getattr(found, name)[0] for name in _BODY}

@@ -53,7 +53,7 @@ def main(config: Config) -> np.ndarray:
         except GaitOptimizationError as error:
             print(f"left out: {error}")
             continue
-        rows.append([*command, *differences(library, gait, library.table.qpos.shape[-2])])
+        rows.append([*command, *differences(library, gait, library.table.samples)])
     found = np.reshape(rows, (-1, 8))
     print(accuracy_table(found), "", _worst(found), sep="\n")
     return found

@@ -100,7 +100,7 @@ def test_library_in_single_precision_is_half_as_large_and_close(
     )
     sizes = [sum(buffer.nbytes for buffer in one.buffers()) for one in (double, single)]
     assert sizes[1] < 0.51 * sizes[0]
-    assert np.shares_memory(single.table.qpos, single._qpos.samples.numpy())
+    assert np.shares_memory(single.table.qpos, single._lookup._qpos.values())
     assert not single.motions
     single.save(tmp_path / "single.npz")
     loaded = GaitLibrary.load(tmp_path / "single.npz")

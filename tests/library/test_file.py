@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aslip.base.archive import npy
+from aslip.base.assets import asset_path
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
 from aslip.library import GaitLibrary, pendulum_library
 from aslip.library.table import ARRAYS
@@ -79,7 +80,8 @@ def test_shipped_library_is_the_default(library: GaitLibrary) -> None:
 def test_the_library_of_all_directions_is_small() -> None:
     library = GaitLibrary.load("directions")
     assert len(library.table.commands) > 2000
-    assert sum(buffer.nbytes for buffer in library.buffers()) <= 100e6
+    assert sum(buffer.nbytes for buffer in library.buffers()) <= 15e6
+    assert asset_path("directions.npz").stat().st_size <= 15e6
 
 
 # ------------------------------------------------------------------ damage

@@ -20,6 +20,7 @@ from aslip.base.assets import asset_path
 from aslip.base.provenance import provenance
 from aslip.envs import default_stack, describe_transforms, randomise_stack
 from aslip.errors import AssetError, ConfigurationError
+from aslip.library import GaitLibrary
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
@@ -154,6 +155,21 @@ def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
     assert old["made_by"].pop("command") == command
     assert new == old
     weights = [aslip.load_policy(file).state_dict() for file in files]
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_policy_that_follows_other_gaits_still_names_those_of_its_training(tmp_path: Path) -> None:
+    """Also if it is moved twice; its weights stay."""
+    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE)
+    assets, file = tmp_path / "assets", tmp_path / "assets" / "mine.zip"
+    _card(folder, assets, library="single_reference")
+    text = _card(None, assets, library="gaits")
+    first, now = (GaitLibrary.load(name).sha256 for name in ("single_reference", "gaits"))
+    card = read_card(file)
+    assert card["library_sha256"] == now
+    assert card["made_by"] == {"trained_on": first}
+    assert f"SHA-256 {first[:12]}, follows those of {now[:12]}" in text
+    weights = [aslip.load_policy(path).state_dict() for path in (folder / "policy.zip", file)]
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
