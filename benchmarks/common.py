@@ -96,7 +96,7 @@ class Subject:
         stored = isinstance(policy, str | Path)
         if make_env is None:
             several = library is not None and library.command_size > 1
-            stack = policy_stack(policy) if stored else "directions" if several else "default"
+            stack = policy_stack(policy) if stored else "walking" if several else "straight"
             make_env = partial(aslip.make_env, stack=stack, library=library)
         module = aslip.load_policy(policy) if stored else policy
         library = command_library(policy) if library is None else library

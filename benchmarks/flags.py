@@ -43,7 +43,7 @@ class WithLibrary(Common):
 class Directions(WithLibrary):
     """Flags of benchmarks of walks in all directions."""
 
-    policy: tuple[str, ...] = ("aslip",)
+    policy: tuple[str, ...] = ("directions",)
     """Policies to measure: names, files or run folders; several count as seeds of one method."""
     library: str | None = "directions"
     """Library over three commands that the policies were trained with; a file, or the shipped

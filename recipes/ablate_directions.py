@@ -20,10 +20,10 @@ import aslip
 from aslip.envs import (
     MAX_EPISODE_STEPS,
     Stack,
+    directions_stack,
     evaluation_stack,
     insert_before,
     randomise_stack,
-    standing_stack,
 )
 from aslip.library import GaitLibrary
 from aslip.policy import make_recurrent_actor
@@ -106,13 +106,13 @@ def in_world_frame(library: GaitLibrary) -> Stack:
         ("estimate", name): ("world", name) for name in ("orientation", "velocity")
     }
     table = [*(moved.get(key, key) for key in DIRECTION_TABLE), ("world", "direction")]
-    stack = insert_before(standing_stack(library), "observation", world=WorldFrame())
+    stack = insert_before(directions_stack(library), "observation", world=WorldFrame())
     return {**stack, "observation": AssembleObservation(table)}
 
 
 def with_independent_gaits(library: GaitLibrary) -> Stack:
     """Stack whose reference is always a gait of the library, and jumps between them."""
-    stack = insert_before(standing_stack(library), "clock", nearest_gait=NearestGait(library))
+    stack = insert_before(directions_stack(library), "clock", nearest_gait=NearestGait(library))
     stack["clock"] = StandClock(library, "gait_command")
     keys: list[NestedKey] = ["gait_command", "phase", "mode", "stand"]
     stack["reference"] = ReferenceInjection(library, in_keys=keys)
@@ -129,15 +129,15 @@ VARIANTS: Mapping[str, Variant] = {
     "no_curriculum": Variant("full ranges and pushes from the start", {"ramp": 0.0}),
     "no_effort": Variant(
         "no reward for low power and soft landings",
-        make_stack=without_terms(standing_stack, DIRECTION_WEIGHTS, "power", "landing"),
+        make_stack=without_terms(directions_stack, DIRECTION_WEIGHTS, "power", "landing"),
     ),
     "no_path": Variant(
         "no reward for staying on the path",
-        make_stack=without_terms(standing_stack, DIRECTION_WEIGHTS, "path_diff"),
+        make_stack=without_terms(directions_stack, DIRECTION_WEIGHTS, "path_diff"),
     ),
     "no_heading": Variant(
         "no reward for the heading",
-        make_stack=without_terms(standing_stack, DIRECTION_WEIGHTS, "heading_diff"),
+        make_stack=without_terms(directions_stack, DIRECTION_WEIGHTS, "heading_diff"),
     ),
     "no_symmetry": Variant("networks without mirror symmetry", {"symmetric": False}),
     "memory": Variant(
@@ -173,7 +173,7 @@ def _train(
 ) -> list[WalkResult]:
     """Train or resume one run; returns its walks on the nominal robot, then on drawn robots."""
     config = DirectionConfig(**settings, library=library, **variant.settings)
-    make_stack = variant.make_stack or standing_stack
+    make_stack = variant.make_stack or directions_stack
     ppo_directions.main(config, resume_command, make_stack=make_stack, **variant.networks)
     policy, gaits = aslip.load_policy(config.out), GaitLibrary.load(library)
     common = evaluation_stack(make_stack(gaits), gaits)

@@ -131,7 +131,7 @@ def _train(
     config = replace(PRESETS["default"], **settings, **variant.settings)
     gaits = GaitLibrary.load(library)
     stack = (variant.make_stack or default_stack)(gaits)
-    ppo_aslip.main(config, partial(aslip.make_env, stack=stack), go_on=resume_command)
+    ppo_aslip.main(config, partial(aslip.make_env, stack=stack), resume_hint=resume_command)
     speeds, common = gaits.speeds.tolist(), evaluation_stack(stack)
     with closing(aslip.make_env(num_envs=len(speeds), seed=config.seed, stack=common)) as env:
         return evaluate(aslip.load_policy(config.out), env, speeds, config.eval_steps)

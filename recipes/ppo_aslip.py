@@ -80,7 +80,7 @@ def main(
     make_collector: Callable[..., Any] | None = None,
     network: Mapping[str, Any] | None = None,
     logger: Logger | None = None,
-    go_on: str = "resume=True",
+    resume_hint: str = "resume=True",
 ) -> list[WalkResult]:
     """Train a policy and evaluate it at all speeds; files are in `config.out`.
 
@@ -95,7 +95,7 @@ def main(
             default; with `config.num_collectors`, it is `RayCollectors`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
         logger: TorchRL logger, in addition to CSV and TensorBoard.
-        go_on: command that resumes the training, for messages.
+        resume_hint: command that resumes the training, for messages.
     """
     torch.manual_seed(config.seed)
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
@@ -105,7 +105,12 @@ def main(
     env, speeds = make_evaluation_env(make_env, config.seed)
     about = describe_environments(env, make_train_env)
     run = TrainingRun(
-        config.out, config, resume=config.resume, transforms=about, go_on=go_on, logger=logger
+        config.out,
+        config,
+        resume=config.resume,
+        transforms=about,
+        resume_hint=resume_hint,
+        logger=logger,
     )
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
@@ -252,4 +257,4 @@ def save_results(
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(CONFIG, **environments(CONFIG.preset), go_on=resume_command(CONFIG))
+        main(CONFIG, **environments(CONFIG.preset), resume_hint=resume_command(CONFIG))

@@ -82,7 +82,7 @@ from typing import Any, cast
 import ppo_aslip
 
 import aslip
-from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, standing_stack
+from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, walking_stack
 from aslip.policy import make_critic, make_privileged_critic, privileged_table
 from aslip.training.environments import make_training_env
 from aslip.training.settings import read_settings
@@ -104,7 +104,7 @@ PRIVILEGED = "privileged"
 
 def main(
     config: DirectionConfig,
-    go_on: str = "resume=True",
+    resume_hint: str = "resume=True",
     *,
     make_stack: Callable[[aslip.GaitLibrary], Stack] | None = None,
     **networks: Any,
@@ -113,14 +113,14 @@ def main(
 
     Args:
         config: the settings.
-        go_on: command that resumes the training, for messages.
-        make_stack: function that makes the policy's stack; by default `standing_stack`, or
-            `directions_stack` for robots that never stand.
+        resume_hint: command that resumes the training, for messages.
+        make_stack: function that makes the policy's stack; by default `directions_stack`, or
+            `walking_stack` for robots that never stand.
         networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     if make_stack is None:
-        make_stack = standing_stack if config.stand else directions_stack
+        make_stack = directions_stack if config.stand else walking_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(aslip.make_env, stack=training_stack(config, stack))
     critic = make_critic
@@ -131,7 +131,7 @@ def main(
         partial(aslip.make_env, stack=stack),
         make_critic=critic,
         make_train_env=partial(make_training_env, robots, config.command_interval),
-        go_on=go_on,
+        resume_hint=resume_hint,
         **networks,
     )
 
@@ -176,4 +176,4 @@ def drawn(config: DirectionConfig) -> list[str]:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(CONFIG, go_on=resume_command(CONFIG))
+        main(CONFIG, resume_hint=resume_command(CONFIG))

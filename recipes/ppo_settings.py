@@ -35,7 +35,7 @@ DESCRIPTIONS = {
     "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
     "robust": "domain randomisation: robot, floor and sensor noise differ between episodes",
     "truth": "policy observes the true state instead of the estimate",
-    "fine": "physics of 2 kHz instead of 1 kHz in training, as walks have",
+    "straight": "physics of 2 kHz instead of 1 kHz in training, as walks have",
 }
 
 TIMESTEPS = (0.0005, 0.001)
@@ -167,7 +167,7 @@ PRESETS = {
         ),
         Config(preset="robust", out=Path("runs/robust")),
         Config(preset="truth", out=Path("runs/truth")),
-        Config(preset="fine", out=Path("runs/fine"), physics_timestep=5e-4),
+        Config(preset="straight", out=Path("runs/straight"), physics_timestep=5e-4),
     )
 }  # fmt: skip
 """Settings to start from, by name; `ppo_presets.environments` makes the environments of each."""

@@ -31,7 +31,7 @@ from aslip.show.model_place import RomPlace
 class Config(UserPaths):
     """Settings of the walk."""
 
-    policy: str = "aslip"
+    policy: str = "directions"
     """Name of a shipped policy, its file, or the folder of a run."""
     library: str | None = None
     """Library of gaits: a file or the name of a shipped one; by default that of the stack."""

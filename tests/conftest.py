@@ -78,7 +78,7 @@ def make(library: GaitLibrary) -> MakeEnv:
 
     def make(backend: str = "batch", **settings: Any) -> StackEnv:
         defaults: dict[str, Any] = {"num_threads": 1, "seed": 0}
-        if isinstance(settings.get("stack", "default"), str):
+        if isinstance(settings.get("stack", "straight"), str):
             defaults["library"] = library
         return aslip.make_env(backend, **{**defaults, **settings})  # pyright: ignore
 

@@ -178,9 +178,9 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
         process.send_signal(number)
         output, errors = process.communicate(timeout=120)
     assert process.returncode == 128 + number
-    go_on = f"python {recipe} --resume --out {out}"
-    assert f"to continue: {go_on}" in output
-    assert f"to continue: {go_on}" in errors
+    resume_hint = f"python {recipe} --resume --out {out}"
+    assert f"to continue: {resume_hint}" in output
+    assert f"to continue: {resume_hint}" in errors
     assert "saved: " in errors
     assert not (out / "policy.zip").exists()
     assert max(out.glob("checkpoints/*.zip")).name in errors

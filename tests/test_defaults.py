@@ -33,7 +33,7 @@ Found = dict[str, torch.Tensor]
 def rollouts(folder: Path) -> Found:
     """Three policy steps of two shipped policies, each in its stack."""
     found: Found = {}
-    for name, stack in (("single_reference", "single_reference"), ("aslip", "standing")):
+    for name, stack in (("single_reference", "single_reference"), ("directions", "directions")):
         with closing(aslip.make_env(stack=stack, num_envs=2, num_threads=1, seed=0)) as env:
             rows = env.rollout(3, aslip.load_policy(name))
         found |= {f"{name} {key}": value for key, value in leaves(rows).items()}
@@ -43,7 +43,7 @@ def rollouts(folder: Path) -> Found:
 def controllers(folder: Path) -> Found:
     """Motor targets from packets, lost packets and estimates."""
     found, packets = {}, BatchEnv(2, num_threads=1).reset()["sensors"]
-    controller = aslip.Controller("aslip")
+    controller = aslip.Controller("directions")
     for kind, given in (("packets", packets), ("estimates", standing_estimate())):
         state = controller.start(given, 0.5, stand=True)
         state, _ = controller.step(state, None, 0.4, heading=0.1, stand=False)

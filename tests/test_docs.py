@@ -16,7 +16,7 @@ from packaging.specifiers import SpecifierSet
 
 import aslip
 from aslip.base.command_line import command_line, preset_command_line
-from aslip.envs import standing_stack
+from aslip.envs import directions_stack
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
 from benchmarks.scorecard.learning_curves import report
@@ -240,7 +240,7 @@ def test_every_picture_is_on_a_page_and_described() -> None:
 
 
 def test_the_picture_of_the_stack_names_every_transform() -> None:
-    assert {*aslip.default_stack(), *standing_stack(standing_library())} == diagrams.NAMES
+    assert {*aslip.default_stack(), *directions_stack(standing_library())} == diagrams.NAMES
 
 
 def test_settings_on_the_page_of_differences_are_those_of_the_presets() -> None:

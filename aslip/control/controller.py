@@ -33,7 +33,7 @@ from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.reference import feedforward_target
 
 # groups of entries that each step overwrites
-_FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
+_FRESH = ("estimate", "odometry", "estimator", "reference", "target", "clock")
 PATH_ERROR = ("odometry", "path_error")
 """Key of the distance from the commanded path, for which robots' own estimates need positions."""
 
@@ -44,7 +44,7 @@ class ControllerState:
 
     tensordict: TensorDictBase
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
-    `command`, `phase`, `estimate`, `reference`, `goal`, `clock`, `last_action`, `is_init`,
+    `command`, `phase`, `estimate`, `reference`, `target`, `clock`, `last_action`, `is_init`,
     `observation`, `action`, `motor_target`, and the hidden state of a recurrent policy. With
     packets, `odometry` and `estimator` (its faults, and its memory with the heading), too; with
     robots' own estimates, `heading` and, where these have positions along a path, `odometry` of
@@ -230,10 +230,10 @@ class Controller(ControllerBase[ControllerState]):
         Raises:
             UnknownNameError: the policy observes an entry that does not exist.
         """
-        reference, goal = self.steering.reference(cast("Mapping[str, Tensor]", present))
+        reference, target = self.steering.reference(cast("Mapping[str, Tensor]", present))
         reference["motor_target"] = feedforward_target(reference, *self._gains)
         clock = clock_entries(cast("Tensor", present["phase"]))
-        present.update({"reference": reference, "goal": goal, "clock": clock})
+        present.update({"reference": reference, "target": target, "clock": clock})
         if "last_action" not in present:
             present["last_action"] = torch.zeros_like(reference["motor_position"])
         for key in (*self.observation, self.baseline):

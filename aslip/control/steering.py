@@ -15,13 +15,13 @@ from aslip.library import GaitLibrary
 from aslip.transforms.balance import find_balance
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
-from aslip.transforms.reference import reference_and_goal
+from aslip.transforms.reference import reference_and_target
 from aslip.transforms.standing import (
     advance_mode,
     check_rates_of_stops,
     first_mode,
-    led_command,
-    led_rates,
+    stop_rates,
+    stop_target,
     transitions_of,
 )
 
@@ -73,7 +73,7 @@ class Steering:
         phase, mode, filtered = phase % 1.0, None, command
         if stand is not None:
             phase, mode = first_mode(transitions_of(self.library), phase, stand)
-            filtered = led_command(command, stand, mode)
+            filtered = stop_target(command, stand, mode)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
             entries["filtered_command"] = filtered.clone()
@@ -106,8 +106,8 @@ class Steering:
         if self.along_path:
             aim, rates = command, self.rates
             if stand is not None:
-                aim = led_command(command, stand, past["mode"])
-                rates = led_rates(self.rates, stand, past["mode"])
+                aim = stop_target(command, stand, past["mode"])
+                rates = stop_rates(self.rates, stand, past["mode"])
             entries["filtered_command"] = approach_command(filtered, aim, rates)
         return entries
 
@@ -119,7 +119,7 @@ class Steering:
         """
         filtered = present["filtered_command" if self.along_path else "command"]
         standing = (present["mode"], present["stand"]) if self.stands else None
-        return reference_and_goal(
+        return reference_and_target(
             self.library,
             filtered,
             present["phase"],

@@ -6,7 +6,7 @@ from .describe import describe_transforms as describe_transforms
 from .describe import library_of as library_of
 from .describe import observation_keys as observation_keys
 from .directions import directions_stack as directions_stack
-from .directions import standing_stack as standing_stack
+from .directions import walking_stack as walking_stack
 from .dm_control import DmControlEnv as DmControlEnv
 from .dm_control import Walk as Walk
 from .dm_control import walk_environment as walk_environment

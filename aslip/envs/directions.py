@@ -34,7 +34,7 @@ from aslip.transforms import (
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from aslip.transforms.standing import transitions_of
 
-# headings of the goal that reward terms read on turns
+# headings of the target that reward terms read on turns
 _HEADINGS: Final = MappingProxyType(
     {
         "com_vel": ("body_heading",),
@@ -42,12 +42,10 @@ _HEADINGS: Final = MappingProxyType(
         "foot_orient": ("left_foot_heading", "right_foot_heading"),
     }
 )
-_STEER: Final = "filtered_command"
+_FILTERED: Final = "filtered_command"
 
 
-def directions_stack(
-    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
-) -> Stack:
+def walking_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """Stack for walks in all directions: commands of forward speed, sideways speed and yaw rate.
 
     It is the default stack, with a filter of the command (`CommandFilter`), which clock, reference
@@ -68,10 +66,10 @@ def directions_stack(
             f" rate, got one whose commands have {library.command_size} numbers"
         )
     stack = stack_of(library, VelocityCommand(library), reward_on) | {
-        "clock": PhaseClock(library, _STEER),
-        "reference": ReferenceInjection(library, in_keys=[_STEER, "phase"]),
-        "heading": HeadingFrame(command_key=_STEER),
-        "estimator": EstimatedState(command_key=_STEER),
+        "clock": PhaseClock(library, _FILTERED),
+        "reference": ReferenceInjection(library, in_keys=[_FILTERED, "phase"]),
+        "heading": HeadingFrame(command_key=_FILTERED),
+        "estimator": EstimatedState(command_key=_FILTERED),
         "observation": AssembleObservation(DIRECTION_TABLE),
         "reward": WeightedReward(DIRECTION_WEIGHTS),
     }
@@ -80,7 +78,7 @@ def directions_stack(
     stack = insert_before(stack, "observation", **moved)
     for name, headings in _HEADINGS.items():
         term = cast("RewardTerm", stack[name])
-        keys = [*term.root_keys, *(("goal", heading) for heading in headings)]
+        keys = [*term.root_keys, *(("target", heading) for heading in headings)]
         stack[name] = RewardTerm(name, term.function, term.next_keys, keys)
     stack = insert_before(stack, "clock", command_filter=CommandFilter())
     stack = insert_before(stack, "straight_diff", **_terms())
@@ -92,17 +90,19 @@ def _terms() -> Stack:
     """Reward terms that the paper does not have."""
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
         # the policy observes estimates of both; the true ones drift away with the odometry
-        rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
-        rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("goal", "body_heading")]),
-        rewards.power: ([("truth", "motor_power")], [_STEER]),
+        rewards.path_diff: ([("odometry", "path_error")], [("target", "body_position")]),
+        rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("target", "body_heading")]),
+        rewards.power: ([("truth", "motor_power")], [_FILTERED]),
         rewards.landing: ([("truth", "largest_force")], []),
         rewards.squeeze: ([("truth", "ground_force")], []),
     }
     return terms_of(reads)
 
 
-def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
-    """Stack of `directions_stack` in which robots also stand, stop and start (`StandClock`).
+def directions_stack(
+    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
+    """Stack of `walking_stack` in which robots also stand, stop and start (`StandClock`).
 
     Args:
         library: gait library over three commands, with stop and start; the shipped one by default.
@@ -114,13 +114,13 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
     """
     library = shipped_library("directions") if library is None else library
     transitions_of(library)
-    steered: list[NestedKey] = [_STEER, "phase", "mode", "stand"]
-    stack = directions_stack(library, reward_on) | {
+    steered: list[NestedKey] = [_FILTERED, "phase", "mode", "stand"]
+    stack = walking_stack(library, reward_on) | {
         "start": ReferenceStart(library, in_keys=["command", "phase", "mode"]),
         "command_filter": StandFilter(),
         "clock": StandClock(library),
         "reference": ReferenceInjection(library, in_keys=steered),
-        "heading": HeadingFrame(command_key=_STEER, mode_key="mode"),
-        "estimator": EstimatedState(command_key=_STEER, mode_key="mode"),
+        "heading": HeadingFrame(command_key=_FILTERED, mode_key="mode"),
+        "estimator": EstimatedState(command_key=_FILTERED, mode_key="mode"),
     }
     return insert_before(stack, "reference", stand=StandCommand())

@@ -34,7 +34,7 @@ def make_env(
     seed: int | None = None,
     drop: Iterable[str] = (),
     replace: Mapping[str, Transform] | None = None,
-    stack: Mapping[str, Transform] | str = "default",
+    stack: Mapping[str, Transform] | str = "straight",
     reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
     keep: Iterable[NestedKey] | None = None,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from aslip.envs.directions import directions_stack, standing_stack
+from aslip.envs.directions import directions_stack, walking_stack
 from aslip.envs.edit import Stack, needs_simulation, require_names
 from aslip.envs.straight import default_stack, paper_stack, shipped_library, single_reference_stack
 from aslip.library import GaitLibrary
@@ -22,11 +22,11 @@ ON_TRUTH: Final[Mapping[str, Any]] = MappingProxyType(
 """Arguments of `make_env` for policies that observe the true state instead of the estimate."""
 
 STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
-    "default": default_stack,
+    "straight": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
+    "walking": walking_stack,
     "directions": directions_stack,
-    "standing": standing_stack,
 }
 """Name of a stack -> function of gait library and `reward_on` that makes it."""
 
@@ -60,7 +60,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
 
     Observation and action baseline are those of the given stack, whose own reward terms are left
     out. Robot, start, rewards and ends of episodes are those of `default_stack()`, or of
-    `directions_stack(library)`, whose commands are walked; the rewards compare with its gaits, even
+    `walking_stack(library)`, whose commands are walked; the rewards compare with its gaits, even
     if the policy observes another motion. A stack that stands keeps standing.
 
     Args:
@@ -74,7 +74,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     require_names(stack, ["start"])
     common, names = default_stack(), [*_EVALUATION]
     if library is not None:
-        common = STACKS["standing" if "stand" in stack else "directions"](library)
+        common = STACKS["directions" if "stand" in stack else "walking"](library)
         names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
     trained = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
@@ -83,10 +83,10 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         for name, transform in stack.items()
         if name not in trained | {*evaluation} and not isinstance(transform, RewardTerm)
     }
-    compared: dict[str, Any] = {"out_keys": ("judge", "goal")}
+    compared: dict[str, Any] = {"out_keys": ("comparison", "target")}
     if library is not None:
         seen["command"] = common["command"]
         compared["in_keys"] = ["filtered_command", "phase"]
         compared["in_keys"] += ["mode", "stand"] if "stand" in stack else []
-    goal = ReferenceInjection(library or shipped_library("gaits"), **compared)
-    return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
+    target = ReferenceInjection(library or shipped_library("gaits"), **compared)
+    return {"start": evaluation.pop("start"), **seen, "comparison": target, **evaluation}

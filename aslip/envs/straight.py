@@ -62,13 +62,13 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
     def body(*names: str) -> list[NestedKey]:
         return [(source, name) for name in names]
 
-    def goal(*names: str) -> list[NestedKey]:
-        return [("goal", name) for name in names]
+    def target(*names: str) -> list[NestedKey]:
+        return [("target", name) for name in names]
 
     feet = ("left_foot_position", "right_foot_position")
     reads = {
-        rewards.com_vel: (body("pelvis_orientation", "pelvis_velocity"), goal("body_velocity")),
-        rewards.foot_pos: (body("pelvis_orientation", "pelvis_position", *feet), goal(*feet)),
+        rewards.com_vel: (body("pelvis_orientation", "pelvis_velocity"), target("body_velocity")),
+        rewards.foot_pos: (body("pelvis_orientation", "pelvis_position", *feet), target(*feet)),
         rewards.straight_diff: (body("pelvis_position"), ()),
         rewards.foot_orient: (body("left_foot_orientation", "right_foot_orientation"), ()),
     }
@@ -166,10 +166,10 @@ def single_reference_stack(
         own.joints: ([("truth", "qpos")], [("reference", "motor_position")]),
         own.pelvis: (
             [(source, "pelvis_position")],
-            [("goal", "body_position"), ("goal", "distance")],
+            [("target", "body_position"), ("target", "distance")],
         ),
         own.upright: ([(source, "pelvis_orientation")], []),
-        own.springs: ([("truth", "qpos")], [("goal", foot) for foot in feet]),
+        own.springs: ([("truth", "qpos")], [("target", foot) for foot in feet]),
     }
     stack: Stack = {}
     for name, transform in paper_stack(library, reward_on).items():

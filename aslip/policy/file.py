@@ -56,7 +56,7 @@ def save_policy(
     made_by: Mapping[str, Any] | None = None,
     *,
     network: MakeActor = make_actor,
-    stack: str | None = "default",
+    stack: str | None = "straight",
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     baseline: NestedKey | None = ("reference", "motor_target"),
     command_rates: Sequence[float] | None = None,

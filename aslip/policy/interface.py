@@ -58,9 +58,9 @@ def stack_name(env: StackEnv) -> str | None:
         return None
     libraries = _reference_libraries(env.transforms)
     turning = any(library.command_size == 3 for library in libraries)
-    possible = ["default", "paper", "single_reference"]
+    possible = ["straight", "paper", "single_reference"]
     if turning:
-        possible = ["standing" if stands(env) else "directions"]
+        possible = ["directions" if stands(env) else "walking"]
     for name in possible:
         # walks in all directions may follow any library, whose hash is in the policy file
         stack = STACKS[name](libraries[0] if turning else None)

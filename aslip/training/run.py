@@ -69,7 +69,7 @@ class TrainingRun:
         resume: continue the run in the folder instead of starting a new one.
         transforms: description of each transform of the environment, by name; saved with the
             settings.
-        go_on: command that resumes the run, for messages.
+        resume_hint: command that resumes the run, for messages.
         logger: TorchRL logger that also gets all rows.
 
     Raises:
@@ -86,13 +86,13 @@ class TrainingRun:
         *,
         resume: bool,
         transforms: Mapping[str, str] | None = None,
-        go_on: str = "resume=True",
+        resume_hint: str = "resume=True",
         logger: Logger | None = None,
     ) -> None:
         self.folder = user_path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         self.transforms = dict(transforms or {})
-        self.go_on = go_on
+        self.resume_hint = resume_hint
         self.changes: list[str] = []
         """Settings changed by resuming, such as `total_steps 100 -> 200`."""
         self.command = this_command()
@@ -229,7 +229,7 @@ class TrainingRun:
         elif progress.step:
             plan = f"continuing after {progress.step} of {progress.total} policy steps"
         about = "; ".join([f"{self.folder}: {plan}", title, *self.changes])
-        return f"{about}\nCtrl-C saves and stops; to continue: {self.go_on}"
+        return f"{about}\nCtrl-C saves and stops; to continue: {self.resume_hint}"
 
     def about(self, progress: Progress) -> dict[str, Any]:
         """Settings, transforms, length and provenance of the training, for the policy's card.
@@ -327,7 +327,7 @@ class TrainingRun:
         saved = str(self._checkpoints()[-1]) if self._saved >= 0 else "nothing"
         return (
             f"training stopped after {step} policy steps{by}{failed}; saved: {saved}"
-            f"\nto continue: {self.go_on}"
+            f"\nto continue: {self.resume_hint}"
         )
 
     def _check_settings(self) -> None:

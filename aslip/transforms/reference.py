@@ -34,28 +34,28 @@ InitialVelocity = Literal["reference", "rest"]
 
 
 class ReferenceInjection(SeededTransform):
-    """Write the motion of a gait library as `("reference", ...)` and `("goal", ...)`.
+    """Write the motion of a gait library as `("reference", ...)` and `("target", ...)`.
 
     Both follow the current command, but differ in time:
 
     - reference, body and feet: at the current phase;
     - reference, motor angles, rates and torques: at the end of the coming policy step, when the PD
       loops should reach them. The paper does not name the instant; its public code does the same.
-    - goal, body and feet: at the end of the coming policy step.
+    - target, body and feet: at the end of the coming policy step.
 
-    The policy sees the reference and is rewarded for reaching the goal, even if the command changes
-    during the step; so reward terms list the goal in `root_keys`. While the command is constant,
-    the goal equals the next reference bit for bit.
+    The policy sees the reference and is rewarded for reaching the target, even if the command
+    changes during the step; so reward terms list the target in `root_keys`. While the command is
+    constant, the target equals the next reference bit for bit.
 
     A planner may replace this transform. It must write the fields of `aslip.library.Reference`
-    under both keys; the goal needs no motor fields.
+    under both keys; the target needs no motor fields.
 
     Args:
         library: gaits.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         in_keys: keys of command (n, c) and phase (n, 1); to stand, too, also of mode (n, 1) and of
             the stand command (n, 1), see `aslip.transforms.StandClock`.
-        out_keys: keys of reference and goal.
+        out_keys: keys of reference and target.
 
     Raises:
         ConfigurationError: `motor_lead` is not a finite number.
@@ -67,7 +67,7 @@ class ReferenceInjection(SeededTransform):
         motor_lead: float = 1.0,
         *,
         in_keys: Sequence[NestedKey] = ("command", "phase"),
-        out_keys: Sequence[NestedKey] = ("reference", "goal"),
+        out_keys: Sequence[NestedKey] = ("reference", "target"),
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.library = library
@@ -81,7 +81,7 @@ class ReferenceInjection(SeededTransform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         entries = [cast("Tensor", next_tensordict[key]) for key in self.in_keys]
         command, phase, *standing = entries
-        found = reference_and_goal(
+        found = reference_and_target(
             *(self.library, command, phase),
             motor_lead=self.motor_lead,
             standing=(standing[0], standing[1]) if standing else None,
@@ -105,10 +105,10 @@ class ReferenceInjection(SeededTransform):
         return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the fields of reference and goal."""
+        """Add the fields of reference and target."""
         require_keys(self, observation_spec, self.in_keys)
         command, phase = torch.zeros(self.library.command_size), torch.zeros(1)
-        found = reference_and_goal(self.library, command, phase, motor_lead=self.motor_lead)
+        found = reference_and_target(self.library, command, phase, motor_lead=self.motor_lead)
         for key, entries in zip(self.out_keys, found, strict=True):
             group = Composite(shape=observation_spec.shape)
             sizes = {name: entry.shape[-1] for name, entry in entries.items()}
@@ -116,7 +116,7 @@ class ReferenceInjection(SeededTransform):
         return observation_spec
 
 
-def reference_and_goal(
+def reference_and_target(
     library: GaitLibrary,
     command: Tensor,
     phase: Tensor,
@@ -124,7 +124,7 @@ def reference_and_goal(
     motor_lead: float = 1.0,
     standing: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Entries of the reference and of the goal; see `ReferenceInjection`.
+    """Entries of the reference and of the target; see `ReferenceInjection`.
 
     Args:
         library: gaits.
@@ -201,16 +201,16 @@ class Feedforward(SeededTransform):
 class ReferenceDistance(SeededTransform):
     """Write the distance (n, 1) that the reference has walked since the reset [m].
 
-    `("reference", "distance")` is that of now, `("goal", "distance")` that at the end of the coming
-    policy step.
+    `("reference", "distance")` is that of now, `("target", "distance")` that at the end of the
+    coming policy step.
 
     The x of the reference is its deviation from uniform motion; the distance plus this x is its
     position in the world. Must come after `ReferenceInjection`, which replaces the groups
-    `reference` and `goal`.
+    `reference` and `target`.
     """
 
     def __init__(self) -> None:
-        super().__init__(["command"], [("reference", "distance"), ("goal", "distance")])
+        super().__init__(["command"], [("reference", "distance"), ("target", "distance")])
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

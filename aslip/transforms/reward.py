@@ -36,7 +36,7 @@ class RewardTerm(SeededTransform):
         function: tensors (*b, k) in the order of the keys -> (*b, 1).
         next_keys: entries after the step that the function reads.
         root_keys: entries before the step, and the action, that it reads; these come last.
-            `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
+            `("target", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
     """
 
     def __init__(

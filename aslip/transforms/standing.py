@@ -133,7 +133,7 @@ def first_mode(table: TransitionTable, phase: Tensor, stand: Tensor) -> tuple[Te
     return torch.where(stays, standing_phase(table, phase), phase), modes
 
 
-def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
+def stop_target(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
     """Command (*b, c) of robots that walk without a stand command, zero for the others.
 
     Args:
@@ -144,7 +144,7 @@ def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
     return torch.where(_walks(stand, mode), command, torch.zeros_like(command))
 
 
-def led_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
+def stop_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
     """Largest rates (*b, 3) of the filtered command: at least `STOP_RATES` for robots that stop.
 
     Args:
@@ -296,11 +296,11 @@ class StandFilter(CommandFilter):
     ) -> TensorDictBase:
         # in a stack, transforms of the other entries come later: they are in the request so far
         known = tensordict if tensordict_reset.get("mode", None) is None else tensordict_reset
-        command = led_command(tensordict_reset["command"], known["stand"], known["mode"])
+        command = stop_target(tensordict_reset["command"], known["stand"], known["mode"])
         return tensordict_reset.set("filtered_command", command.clone())
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
-        return led_command(command, *(tensordict[key] for key in self.in_keys[1:]))
+        return stop_target(command, *(tensordict[key] for key in self.in_keys[1:]))
 
     def _rates(self, tensordict: TensorDictBase) -> Tensor:
-        return led_rates(self.rates, *(tensordict[key] for key in self.in_keys[1:]))
+        return stop_rates(self.rates, *(tensordict[key] for key in self.in_keys[1:]))

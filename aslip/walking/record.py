@@ -223,7 +223,9 @@ def checked_stand(
     if can_stand(env):
         return stands
     if np.any(stands > 0):
-        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
+        raise ConfigurationError(
+            "robots of this stack cannot stand; see aslip.envs.directions_stack"
+        )
     return None
 
 

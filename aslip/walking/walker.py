@@ -64,7 +64,7 @@ class Walker:
 
     def __init__(
         self,
-        policy: TensorDictModuleBase | str | Path = "aslip",
+        policy: TensorDictModuleBase | str | Path = "directions",
         env: StackEnv | None = None,
         *,
         library: GaitLibrary | None = None,
@@ -86,7 +86,7 @@ class Walker:
 
     def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int | None) -> StackEnv:
         named = isinstance(policy, str | Path)
-        stack = policy_stack(policy) if named else "default"
+        stack = policy_stack(policy) if named else "straight"
         gaits = None if stack == "single_reference" else self.library
         return make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
 

@@ -38,7 +38,7 @@ class Config(Directions):
     """Time from the stand command until the measurement [s]."""
     after: float = 4.0
     """Time of walking after standing [s]."""
-    stack: str = "standing"
+    stack: str = "directions"
     """Stack with stop and start in which policies walk, whatever the one they were trained in."""
 
     def __post_init__(self) -> None:

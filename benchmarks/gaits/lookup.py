@@ -2,7 +2,7 @@
 
     python -m benchmarks.gaits.lookup
 
-Cost is CPU time of reference and goal for all robots (`aslip.transforms.ReferenceInjection`), in
+Cost is CPU time of reference and target for all robots (`aslip.transforms.ReferenceInjection`), in
 percent of a policy step of the same robots with the policy of that library (policy, environment,
 and physics of 1 kHz as in training), all on one thread in one process; both are medians. Errors are
 the largest ones over three straight gaits, at random phases, against tables of 512 samples.
@@ -44,9 +44,9 @@ import aslip
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary, tabulate
 from aslip.policy import policy_stack
-from aslip.transforms.reference import reference_and_goal
+from aslip.transforms.reference import reference_and_target
 
-_POLICIES = {"gaits": "straight", "directions": "aslip"}
+_POLICIES = {"gaits": "straight", "directions": "directions"}
 _TIMESTEP = 1e-3
 _SAMPLES = (128, 64, 48, 32)
 _ERRORS = {
@@ -89,14 +89,14 @@ def _cost(config: Config) -> str:
                 f"{100 * seconds / whole:.2f} %",
             ]
         )
-    header = ["library", "gaits", "memory", "policy step", "reference and goal", "share"]
+    header = ["library", "gaits", "memory", "policy step", "reference and target", "share"]
     return markdown(header, rows)
 
 
 def _times(
     env: aslip.envs.StackEnv, policy: TensorDictModuleBase, library: GaitLibrary, rounds: int
 ) -> tuple[float, float]:
-    """CPU times of a policy step, and of reference and goal in it [s]."""
+    """CPU times of a policy step, and of reference and target in it [s]."""
     states = [env.reset()]
 
     def step() -> None:
@@ -106,7 +106,7 @@ def _times(
     key = "filtered_command" if library.command_size > 1 else "command"
     command, phase = (cast("torch.Tensor", td[name]) for name in (key, "phase"))
     standing: Any = (td["mode"], td["stand"]) if "stand" in td else None
-    work = partial(reference_and_goal, library, command, phase, standing=standing)
+    work = partial(reference_and_target, library, command, phase, standing=standing)
     return whole, _seconds(work, 50)
 
 

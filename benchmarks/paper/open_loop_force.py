@@ -24,7 +24,7 @@ class Config(UserPaths):
 
     speeds: tuple[float, ...] = (0.0, 1.0)
     """Commanded speeds [m/s]."""
-    stacks: tuple[str, ...] = ("default", "paper")
+    stacks: tuple[str, ...] = ("straight", "paper")
     """Stacks, by name."""
     phases: int = 4
     """Number of phases to start at, evenly spaced."""

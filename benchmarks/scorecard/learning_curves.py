@@ -4,7 +4,7 @@ r"""Learning curves of the recipes: straight walks, the paper's settings, and al
     python -m benchmarks.scorecard.learning_curves --jobs 2    # two runs at a time
     python -m benchmarks.scorecard.learning_curves --no-train  # report existing runs
     python -m benchmarks.scorecard.learning_curves --record docs/learning_curves.csv --no-train \
-        --variants fine paper baseline --seeds 10 11 12 13 14
+        --variants straight paper baseline --seeds 10 11 12 13 14
     python -m benchmarks.scorecard.learning_curves --out runs --variants directions \
         --seeds 10 11 12 13 14 --total-steps 4990000 --jobs 2 --record docs/direction_curves.csv
 
@@ -28,7 +28,7 @@ from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from benchmarks.flags import check_numbers
 
-Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
+Variant = Literal["truth", "default", "straight", "robust", "paper", "baseline", "directions"]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ VARIANTS: Final = MappingProxyType(
     {
         "truth": ("truth",),
         "default": (),
-        "fine": ("fine",),
+        "straight": ("straight",),
         "robust": ("robust",),
         "paper": ("paper",),
         "baseline": (

@@ -97,14 +97,14 @@ def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
     )
     head = TensorDictModule(torch.nn.Linear(8, 10), in_keys=["embedding"], out_keys=["action"])
     policy = TensorDictSequential([gru, head])
-    env = make_rollout_env("default", 1)
+    env = make_rollout_env("straight", 1)
     env.append_transform(gru.make_tensordict_primer())
-    follow(env, policy, Controller(policy, gaits("default")), "action")
+    follow(env, policy, Controller(policy, gaits("straight")), "action")
 
 
 def _packets(num: int = 1) -> np.ndarray:
     """(num, 10, 42) packets of robots that begin to walk."""
-    td = make_rollout_env("default", num).reset()
+    td = make_rollout_env("straight", num).reset()
     return np.concatenate([entry.numpy() for entry in td["sensors"].values()], axis=-1)
 
 
@@ -162,7 +162,7 @@ def test_shipped_policies_walk_on_the_gaits_of_their_training_only() -> None:
 
 def test_an_unknown_entry_is_named() -> None:
     table = (*SINGLE_REFERENCE_TABLE, "height_map")
-    controller = Controller(aslip.load_policy("straight"), gaits("default"), observation=table)
+    controller = Controller(aslip.load_policy("straight"), gaits("straight"), observation=table)
     with pytest.raises(UnknownNameError, match=r"cannot observe 'height_map'.*clock/sin"):
         controller.start(_packets())
 
@@ -171,7 +171,7 @@ def test_a_policy_with_another_kind_of_action_is_refused(tmp_path: Path) -> None
     shape, path = PolicyShape(), tmp_path / "policy.zip"
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
     save_policy(path, actor, shape, baseline=None)
-    make = partial(Controller, path, gaits("default"))
+    make = partial(Controller, path, gaits("straight"))
     with pytest.raises(ConfigurationError, match="not a delta"):
         make()
     assert make(baseline=("reference", "motor_position")).baseline[-1] == "motor_position"

@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 
 import aslip
 from aslip.control import Controller
-from aslip.envs import directions_stack
+from aslip.envs import walking_stack
 from aslip.errors import ShapeError
 from aslip.transforms import DIRECTION_TABLE, ODOMETRY_SIZES, PATH_SIZES, VelocityCommand
 from tests.control.helpers import compare_rollouts, small_actions
@@ -25,7 +25,7 @@ def _controller() -> Controller:
 @pytest.mark.parametrize("num", [1, 3])
 def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
     """With noise, turns, changes of command and heading, falls and resets."""
-    stack = directions_stack(symmetric_library())
+    stack = walking_stack(symmetric_library())
     env = aslip.make_env(stack=stack, num_envs=num, seed=5, num_threads=1, drop=["low_reward"])
     command = cast("VelocityCommand", env.transforms[env.transform_names.index("command")])
     keys = ["motor_target", "observation", "phase", "filtered_command", "estimator"]
@@ -49,7 +49,7 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
 def test_the_heading_advances_by_itself() -> None:
     """A caller who never writes the heading gets the same targets as one who reads the stack's."""
     library = symmetric_library()
-    env = aslip.make_env(stack=directions_stack(library), num_threads=1, seed=0)
+    env = aslip.make_env(stack=walking_stack(library), num_threads=1, seed=0)
     policy, controller = small_actions(0.1), _controller()
     td = env.reset(TensorDict(command=torch.tensor([[0.4, 0.1, 0.8]]), batch_size=1))
     state = controller.start(td["sensors"], td["command"], phase=td["phase"], heading=td["heading"])
@@ -61,7 +61,7 @@ def test_the_heading_advances_by_itself() -> None:
 
 def test_a_number_is_a_forward_speed_and_commands_move_into_the_region() -> None:
     env = aslip.make_env(
-        stack=directions_stack(symmetric_library()), num_envs=2, num_threads=1, seed=0
+        stack=walking_stack(symmetric_library()), num_envs=2, num_threads=1, seed=0
     )
     packets, controller = env.reset()["sensors"], _controller()
     entries = controller.start(packets, 0.5).tensordict

@@ -49,7 +49,7 @@ def env() -> StackEnv:
 
 def _make(num: int) -> StackEnv:
     return aslip.make_env(
-        stack="standing",
+        stack="directions",
         library=standing_library(),
         num_envs=num,
         seed=9,
@@ -118,14 +118,14 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
 
 def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) -> None:
     _, path = standing_files(tmp_path)
-    assert policy_stack(path) == "standing"
+    assert policy_stack(path) == "directions"
     check_policy_fits(path, env)
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
         Controller(_without_gaits(path), symmetric_library())
     with pytest.raises(ConfigurationError, match="stop and start"):
-        aslip.make_env(stack="standing", library=symmetric_library())
+        aslip.make_env(stack="directions", library=symmetric_library())
 
 
 def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> None:

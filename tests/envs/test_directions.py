@@ -19,7 +19,7 @@ from aslip.envs import (
     insert_before,
     randomise_stack,
     robot_stack,
-    standing_stack,
+    walking_stack,
 )
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, WalkMode
@@ -45,7 +45,7 @@ FLIP = torch.tensor([1.0, -1.0, -1.0])
 
 
 def make(num: int = 2, **settings: object) -> StackEnv:
-    stack = directions_stack(symmetric_library())
+    stack = walking_stack(symmetric_library())
     drop = (*EPISODE_ENDS, "noise", "fall")
     return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=drop, **settings)  # pyright: ignore[reportArgumentType]
 
@@ -69,7 +69,7 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
     td["command"] = wanted
     filtered, phase = td["filtered_command"], td["phase"]
     for _ in range(8):
-        goal = cast("TensorDictBase", td["goal"])
+        target = cast("TensorDictBase", td["target"])
         td = step(env, td)
         # the clock runs with the command during the step
         phase = (phase + PERIOD / library.stride(filtered)) % 1
@@ -81,7 +81,7 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
         assert torch.equal(td["reference", "left_foot_heading"], found.left_foot_heading)
         # neither body nor feet jump: the largest change of speed in a step is 0.06 m/s
         for name in ("body_position", "left_foot_position", "right_foot_position"):
-            torch.testing.assert_close(td["reference", name], goal.get(name), atol=0.02, rtol=0)
+            torch.testing.assert_close(td["reference", name], target.get(name), atol=0.02, rtol=0)
     assert torch.equal(td["observation"][:, -15:-12], filtered)
 
 
@@ -103,7 +103,7 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
     torch.testing.assert_close(
         td["odometry", "path_error"], td["true_odometry", "path_error"], atol=0.08, rtol=0
     )
-    # the reference of a step is the goal of the step before
+    # the reference of a step is the target of the step before
     error, body = td["odometry", "path_error"], td["reference", "body_position"]
     expected = rewards.path_diff(cast("Tensor", error), cast("Tensor", body))
     torch.testing.assert_close(td["reward_terms", "path_diff"], expected)
@@ -112,7 +112,7 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
 def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> None:
     """Randomised robots, pushes and other rewards of a training are left out."""
     library = symmetric_library()
-    stack = directions_stack(library)
+    stack = walking_stack(library)
     trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes())
     trained["path_diff"] = RewardTerm("path_diff", torch.zeros_like, ["phase"])
     own = RewardTerm("own", torch.zeros_like, ["phase"])
@@ -129,7 +129,7 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     assert torch.equal(first["reward"], second["reward"])
     assert torch.equal(first["observation"], second["observation"])
     # commands are of the common library, whatever the policy was trained on
-    other = evaluation_stack(directions_stack(standing_library()), library)
+    other = evaluation_stack(walking_stack(standing_library()), library)
     command = other["command"]
     assert isinstance(command, VelocityCommand)
     assert command.library is library
@@ -140,12 +140,12 @@ def test_rewards_read_the_estimated_heading_and_the_largest_force() -> None:
     env = make(2)
     before = start(env, [[0.1, 0.0, 0.1]] * 2, [0.3, 0.3])
     for _ in range(3):
-        goal = cast("Tensor", before["goal", "body_heading"])
+        target = cast("Tensor", before["target", "body_heading"])
         td = step(env, before)
         terms = cast("TensorDictBase", td["reward_terms"])
         assert {*terms.keys()} == {*DIRECTION_WEIGHTS}
         orientation = cast("Tensor", td["odometry", "pelvis_orientation"])
-        assert torch.equal(terms.get("heading_diff"), rewards.heading_diff(orientation, goal))
+        assert torch.equal(terms.get("heading_diff"), rewards.heading_diff(orientation, target))
         largest = cast("Tensor", td["truth", "largest_force"])
         assert torch.equal(terms.get("landing"), rewards.landing(largest).float())
         expected = sum(DIRECTION_WEIGHTS[name] * term for name, term in terms.items())
@@ -195,12 +195,12 @@ def test_commands_outside_the_region_are_refused() -> None:
 
 def test_a_straight_library_is_refused(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="commands have 1 numbers"):
-        directions_stack(library)
+        walking_stack(library)
 
 
 def test_the_stack_of_a_real_robot_turns_without_the_truth() -> None:
     """The estimator itself advances the heading that it took from the first packet."""
-    stack = robot_stack(directions_stack(symmetric_library(), reward_on="estimate"))
+    stack = robot_stack(walking_stack(symmetric_library(), reward_on="estimate"))
     assert "heading" not in stack
     env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS, seed=0)
     td = env.reset(TensorDict(command=torch.tensor([[0.0, 0.0, 0.8]]), batch_size=1))
@@ -214,7 +214,7 @@ def test_the_stack_of_a_real_robot_turns_without_the_truth() -> None:
 
 
 def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
-    env = GymEnv(stack=directions_stack(symmetric_library()), num_threads=1)
+    env = GymEnv(stack=walking_stack(symmetric_library()), num_threads=1)
     _, info = env.reset(seed=1, options={"command": [0.5, -0.1, 0.25]})
     assert info["command"] == [0.5, pytest.approx(-0.1), 0.25]
     assert env.observation_space.shape == (82,)
@@ -222,9 +222,9 @@ def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
 
 
 def test_an_evaluation_rewards_standing_robots_for_standing() -> None:
-    """Its goal and rewards are those of the stack itself, through a stop."""
+    """Its target and rewards are those of the stack itself, through a stop."""
     library = standing_library()
-    stack = standing_stack(library)
+    stack = directions_stack(library)
     drop = (*EPISODE_ENDS, "noise", "fall")
     ends = [
         aslip.make_env(stack=one, num_envs=2, num_threads=1, drop=drop, seed=0)
@@ -244,7 +244,7 @@ def test_an_evaluation_rewards_standing_robots_for_standing() -> None:
 def test_robots_stand_where_a_stop_ends() -> None:
     """Pushed or late robots need not go back to the path of their commands."""
     library = standing_library()
-    stack = standing_stack(library)
+    stack = directions_stack(library)
     env = aslip.make_env(
         stack=stack, num_envs=1, num_threads=1, drop=(*EPISODE_ENDS, "fall"), seed=0
     )

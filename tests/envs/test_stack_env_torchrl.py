@@ -52,7 +52,7 @@ def test_random_actions_may_precede_an_episode(make: MakeEnv) -> None:
 
 
 def test_shipped_policies_act_within_the_action_spec(make: MakeEnv) -> None:
-    for policy, stack in (("straight", "default"), ("single_reference", "single_reference")):
+    for policy, stack in (("straight", "straight"), ("single_reference", "single_reference")):
         env = make(num_envs=5, stack=stack, library=None, seed=1)
         data = env.rollout(30, load_policy(policy))
         assert data["action"].abs().amax() > 0.2

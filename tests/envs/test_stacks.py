@@ -186,7 +186,7 @@ def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
     assert len(set(drawn)) == len(drawn) == 2 * len(transforms)
 
 
-@pytest.mark.parametrize("stack", ["paper", "standing"])
+@pytest.mark.parametrize("stack", ["paper", "directions"])
 def test_without_a_seed_every_transform_draws_numbers_of_its_own(make: MakeEnv, stack: str) -> None:
     settings = {"stack": randomise_stack(STACKS[stack](None, "truth"))}
     first, second = (make(seed=None, **settings) for _ in range(2))
@@ -277,9 +277,9 @@ def test_stack_name_finds_the_stack_with_the_same_interface(
         assert stack_name(make_env(stack=name, num_threads=1, seed=0)) == name
     stack = insert_before(default_stack(library), "reward", upright=_constant_term())
     stack["reward"] = WeightedReward({**PAPER_WEIGHTS, "late": 0.1})
-    assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "default"
-    assert stack_name(make(**ON_TRUTH)) == "default"
-    assert stack_name(make(stack=randomise_stack(default_stack(library)))) == "default"
+    assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "straight"
+    assert stack_name(make(**ON_TRUTH)) == "straight"
+    assert stack_name(make(stack=randomise_stack(default_stack(library)))) == "straight"
     assert stack_name(make(drop=["feedforward"], replace={"action": ActionDelta()})) == "paper"
     blind = AssembleObservation([("estimate", "height")])
     assert stack_name(make(replace={"observation": blind})) is None

@@ -33,7 +33,7 @@ def slower_library() -> GaitLibrary:
 def standing_files(folder: Path) -> tuple[Path, Path]:
     """Library, and untrained policy that stands, in a folder."""
     standing_library().save(folder / "gaits.npz")
-    env = aslip.make_env(stack="standing", library=standing_library(), num_threads=1, seed=0)
+    env = aslip.make_env(stack="directions", library=standing_library(), num_threads=1, seed=0)
     interface, shape = policy_interface(env), PolicyShape(82)
     actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
     save_policy(folder / "policy.zip", actor, shape, **interface)

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.envs import Stack, StackEnv, default_stack, standing_stack
+from aslip.envs import Stack, StackEnv, default_stack, directions_stack
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.log import Recorder, Recording, read
@@ -70,7 +70,7 @@ def test_reset_of_an_airborne_robot_is_not_a_touchdown(
 def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -> None:
     """The recorder is not told which gaits they are."""
     gaits, command = GaitLibrary.load("directions"), (0.3, 0.2, 0.4)
-    env = _recorded(tmp_path / "a.mcap", standing_stack(gaits))
+    env = _recorded(tmp_path / "a.mcap", directions_stack(gaits))
     walk = _walk(env, tmp_path / "a.mcap", "aslip", command)
     _check_planned(walk, Footholds(gaits), command)
     assert walk.metadata["gaits_sha256"] == gaits.sha256

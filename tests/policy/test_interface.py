@@ -81,7 +81,7 @@ def test_other_transforms_keep_the_interface_to_policies(
 ) -> None:
     env = _with(library, make, *HARMLESS)
     env.rollout(2)
-    assert stack_name(env) == "default"
+    assert stack_name(env) == "straight"
     path = _saved(tmp_path / "policy.zip", env)
     assert read_card(path)["baseline"] == "reference/motor_target"
     check_policy_fits(path, env)

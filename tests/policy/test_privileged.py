@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.envs import EPISODE_ENDS, directions_stack
+from aslip.envs import EPISODE_ENDS, walking_stack
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
@@ -46,7 +46,7 @@ def test_a_value_depends_on_privileged_entries_but_not_on_the_side() -> None:
 def test_mirrored_walks_have_mirrored_truths() -> None:
     """Robot 1 starts half a stride later with sideways speed and yaw rate reversed."""
     env = aslip.make_env(
-        stack=directions_stack(symmetric_library()),
+        stack=walking_stack(symmetric_library()),
         num_envs=2,
         num_threads=1,
         drop=EPISODE_ENDS,

@@ -317,4 +317,4 @@ def test_results_come_from_the_evaluation_stack(
         monkeypatch.setattr(module, "evaluate", spied)
     kept = ablate.main(tiny(tmp_path, "reward_on_estimate"))["reward_on_estimate"][0]
     assert kept == found[-1]
-    assert ["judge" in env.transform_names for env in envs] == [False, True]
+    assert ["comparison" in env.transform_names for env in envs] == [False, True]

@@ -41,14 +41,14 @@ def _card(run_folder: Path | None, assets: Path, **settings: Any) -> str:
     return policy_card.main(config).read_text()
 
 
-SIZES = {"single_reference": 49, "standing": 82}
+SIZES = {"single_reference": 49, "directions": 82}
 
 
 def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) -> Path:
     size = SIZES.get(stack, 64)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), table)
     folder.mkdir()
-    key = "motor_target" if stack in ("default", "standing") else "motor_position"
+    key = "motor_target" if stack in ("straight", "directions") else "motor_position"
     names = {"stack": stack, "observation": list(table), "baseline": ("reference", key)}
     save_policy(folder / "policy.zip", actor, PolicyShape(size), made_by, **names)
     return folder
@@ -57,9 +57,9 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
 @pytest.mark.parametrize(
     ("stack", "table", "baseline"),
     [
-        ("default", OBSERVATION_TABLE, "reference/motor_target"),
+        ("straight", OBSERVATION_TABLE, "reference/motor_target"),
         ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
-        ("standing", DIRECTION_TABLE, "reference/motor_target"),
+        ("directions", DIRECTION_TABLE, "reference/motor_target"),
     ],
 )
 def test_card_lists_interface_of_stack(
@@ -102,7 +102,7 @@ def test_card_of_shipped_policy_is_written_again(
     monkeypatch.setattr(policy_card, "walk_table", lambda _: "| walks |\n\nof 2 speeds 1 survived")
     monkeypatch.setattr(policy_card, "benchmark_sections", lambda *_: ["## Benchmarks"])
     made_by = {"settings": {"seed": 3}}
-    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE, made_by)
+    folder = _saved(tmp_path / "run", "straight", OBSERVATION_TABLE, made_by)
     first = _card(folder, tmp_path / "assets", measure=True)
     shutil.rmtree(folder)
     weights = (tmp_path / "assets" / "mine.zip").read_bytes()
@@ -146,7 +146,7 @@ def test_limits_on_the_card_are_the_worst_measurements() -> None:
 
 def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
     command = "python recipes/ppo_aslip.py --out ../runs/mine --seed 3 --resume"
-    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE, {"command": command})
+    folder = _saved(tmp_path / "run", "straight", OBSERVATION_TABLE, {"command": command})
     text = _card(folder, tmp_path / "assets")
     assert "`python recipes/ppo_aslip.py --seed 3`" in text
     files = folder / "policy.zip", tmp_path / "assets" / "mine.zip"
@@ -160,7 +160,7 @@ def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
 
 def test_policy_that_follows_other_gaits_still_names_those_of_its_training(tmp_path: Path) -> None:
     """Also if it is moved twice; its weights stay."""
-    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE)
+    folder = _saved(tmp_path / "run", "straight", OBSERVATION_TABLE)
     assets, file = tmp_path / "assets", tmp_path / "assets" / "mine.zip"
     _card(folder, assets, library="single_reference")
     text = _card(None, assets, library="gaits")
@@ -250,7 +250,7 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     ("name", "preset"),
-    [("straight", "default"), ("robust", "robust"), ("single_reference", "single-reference")],
+    [("straight", "straight"), ("robust", "robust"), ("single_reference", "single-reference")],
 )
 def test_shipped_policies_have_the_settings_of_their_presets(name: str, preset: str) -> None:
     made = read_card(name)["made_by"]["settings"]

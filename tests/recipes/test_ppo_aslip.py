@@ -53,7 +53,7 @@ def test_a_run_writes_all_its_files(run: Run) -> None:
     assert (folder.with_name("logs") / "own/scalars/episode_return.csv").exists()
     assert [round(r.speed, 3) for r in results] == [round(0.1 * i, 3) for i in range(21)]
     assert [row["step"] for row in _rows(folder)] == ["64", "128"]
-    assert policy_stack(folder) == "default"
+    assert policy_stack(folder) == "straight"
     for result in results:
         assert 1 <= result.steps <= TINY.eval_steps
         assert 0 < result.total <= result.steps

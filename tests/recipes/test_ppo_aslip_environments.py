@@ -84,7 +84,7 @@ def test_only_training_has_coarse_physics(tmp_path: Path) -> None:
     assert {name for name in physics if physics[name] == 0.0005} == {
         "paper",
         "single-reference",
-        "fine",
+        "straight",
     }
 
 

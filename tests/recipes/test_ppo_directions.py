@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.control import Controller
-from aslip.envs import directions_stack, standing_stack
+from aslip.envs import directions_stack, walking_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.sim import DYNAMICS
@@ -67,7 +67,7 @@ def test_the_policys_file_says_how_fast_its_command_may_change(
     config: DirectionConfig, results: list[WalkResult]
 ) -> None:
     library = symmetric_library()
-    assert policy_stack(config.out) == "directions"
+    assert policy_stack(config.out) == "walking"
     assert read_card(config.out)["command_rates"] == COMMAND_RATES
     assert Controller(config.out, library).command_rates == COMMAND_RATES
     faster = Controller(config.out, library, command_rates=(3.0, 3.0, 3.0))
@@ -75,7 +75,7 @@ def test_the_policys_file_says_how_fast_its_command_may_change(
 
 
 def test_only_training_has_other_robots_pushes_and_coarse_physics(config: DirectionConfig) -> None:
-    stack = directions_stack(symmetric_library())
+    stack = walking_stack(symmetric_library())
     config = replace(config, randomise_share=1.0, command_rates=3.0)
     trained = ppo_directions.training_stack(config, stack)
     fast = tuple(3.0 * rate for rate in COMMAND_RATES)
@@ -107,7 +107,7 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
 
 def test_episodes_of_a_training_have_ever_more_different_robots(config: DirectionConfig) -> None:
     """Until they have the full ranges, of about a third of the parameters each."""
-    trained = ppo_directions.training_stack(config, directions_stack(symmetric_library()))
+    trained = ppo_directions.training_stack(config, walking_stack(symmetric_library()))
     env = aslip.make_env(stack=trained, num_envs=16, num_threads=1, timestep=1e-3, seed=0)
     td, action = env.reset(), 3.0 * torch.randn(16, 10, generator=torch.manual_seed(0))
     for _ in range(60):  # robots fall, and their next episodes begin
@@ -143,9 +143,9 @@ def test_robots_learn_to_stand_if_the_library_has_stop_and_start(
     standing_library().save(file)
     stands = replace(config, stand=1.0, library=str(file), out=tmp_path / "run", total_steps=64)
     ppo_directions.main(stands)
-    assert policy_stack(stands.out) == "standing"
+    assert policy_stack(stands.out) == "directions"
     assert Controller(stands.out, standing_library()).steering.stands
-    trained = ppo_directions.training_stack(stands, standing_stack(standing_library()))
+    trained = ppo_directions.training_stack(stands, directions_stack(standing_library()))
     assert aslip.make_env(stack=trained, num_envs=8, num_threads=1, seed=0).reset()["stand"].all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
         ppo_directions.main(replace(config, stand=0.1))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import aslip
-from aslip.envs import directions_stack, shipped_library
+from aslip.envs import shipped_library, walking_stack
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
@@ -24,7 +24,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Library and untrained policy for all directions."""
     folder = tmp_path_factory.mktemp("directions")
     symmetric_library().save(folder / "gaits.npz")
-    env = aslip.make_env(stack=directions_stack(symmetric_library()), num_threads=1, seed=0)
+    env = aslip.make_env(stack=walking_stack(symmetric_library()), num_threads=1, seed=0)
     shape, interface = PolicyShape(82), policy_interface(env)
     actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
     save_policy(folder / "policy.zip", actor, shape, **interface)
@@ -75,7 +75,7 @@ def test_the_table_has_three_speeds(
 
 
 def test_policies_for_all_directions_have_a_shipped_library(files: tuple[Path, Path]) -> None:
-    assert Walker("aslip", seed=0).library is shipped_library("directions")
+    assert Walker("directions", seed=0).library is shipped_library("directions")
     with pytest.raises(ConfigurationError, match=r"trained on other gaits.* --library FILE"):
         Walker(files[1])
     # the fixture's library is smaller

@@ -78,7 +78,7 @@ def test_an_interrupted_training_names_its_checkpoint_and_how_to_resume(
     settings: Settings, capsys: pytest.CaptureFixture[str], kind: type[BaseException]
 ) -> None:
     """Before writing, which may take a while, it says that it stops."""
-    run = TrainingRun(settings.out, settings, resume=False, go_on="python mine.py --resume")
+    run = TrainingRun(settings.out, settings, resume=False, resume_hint="python mine.py --resume")
     with pytest.raises(kind), run.checkpointing({"net": constant_network(1.0)}, 1e9) as checkpoint:
         checkpoint(10, {})
         checkpoint(20, {})

@@ -16,7 +16,7 @@ from torchrl.envs.utils import check_env_specs
 
 import aslip
 from aslip import transforms
-from aslip.envs import StackEnv, default_stack, insert_before, standing_stack
+from aslip.envs import StackEnv, default_stack, directions_stack, insert_before
 from aslip.library import GaitLibrary
 from aslip.transforms import SeededTransform
 from tests.helpers import leaves
@@ -60,7 +60,7 @@ def make_env(seed: int = 0) -> StackEnv:
 
 def make_standing_env() -> StackEnv:
     """Robots that stand, with a perfect estimate: the remaining classes."""
-    stack = standing_stack(standing_library())
+    stack = directions_stack(standing_library())
     replace = {"estimator": transforms.TrueState()}
     return aslip.make_env(stack=stack, num_envs=NUM, seed=0, num_threads=1, replace=replace)
 
@@ -123,7 +123,7 @@ def without_outputs(recorded: TensorDictBase, transform: Transform) -> TensorDic
     keys = [key for key in transform.out_keys if key not in {"terminated", "done"}]
     own = [("next", *((key,) if isinstance(key, str) else key)) if step else key for key in keys]
     if isinstance(transform, transforms.ReferenceInjection):
-        own = [("reference", "body_position"), ("goal", "body_position")]
+        own = [("reference", "body_position"), ("target", "body_position")]
     return recorded.exclude(*own).clone()
 
 

@@ -135,7 +135,7 @@ def test_a_term_of_the_wrong_shape_is_named(make: MakeEnv) -> None:
 # ------------------------------------------------------- a change of command
 
 
-@pytest.mark.parametrize("stack", ["default", "single_reference"])
+@pytest.mark.parametrize("stack", ["straight", "single_reference"])
 def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack: str) -> None:
     """The reward of the step in which it is written follows the old command."""
     found = []

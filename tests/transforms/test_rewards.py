@@ -264,9 +264,9 @@ def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:
         rewards.foot_orient(x["left_q"], x["right_q"]),
     )
     names = ("position", "left", "right", "left_ref", "right_ref")
-    place, left, right, *goal = (rotate_inverse(conjugate(turn), x[name]) for name in names)
+    place, left, right, *target = (rotate_inverse(conjugate(turn), x[name]) for name in names)
     torch.testing.assert_close(
-        rewards.foot_pos(turned, place, left, right, goal[0], goal[1], 2 * half),
+        rewards.foot_pos(turned, place, left, right, target[0], target[1], 2 * half),
         _terms(x)["foot_pos"],
     )
 

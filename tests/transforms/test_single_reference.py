@@ -86,7 +86,7 @@ def test_the_policy_sees_estimate_clock_and_speed(make: MakeEnv) -> None:
 
 
 def test_the_distance_grows_at_the_speed_of_each_step(make: MakeEnv) -> None:
-    """Also when commands change: each step adds its own command, and the goal already has it."""
+    """Also when commands change: each step adds its own command, and the target already has it."""
     library = single_reference_library()
     restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=CASSIE.policy_period)
     env = make(
@@ -103,7 +103,7 @@ def test_the_distance_grows_at_the_speed_of_each_step(make: MakeEnv) -> None:
         displacement, CASSIE.policy_period * walk["command"], atol=1e-6, rtol=0
     )
     reached = walk["next", "reference", "distance"]
-    torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
+    torch.testing.assert_close(walk["target", "distance"], reached, atol=0, rtol=0)
 
 
 def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:

@@ -9,14 +9,14 @@ from torch import Tensor
 
 import aslip
 from aslip.control.steering import Steering
-from aslip.envs import EPISODE_ENDS, StackEnv, standing_stack
+from aslip.envs import EPISODE_ENDS, StackEnv, directions_stack
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.library.transitions import HALF
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, StandFilter, advance_mode
 from aslip.transforms.balance import Balance
-from aslip.transforms.standing import STOP_RATES, led_rates
+from aslip.transforms.standing import STOP_RATES, stop_rates
 from tests.helpers import seeded
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
@@ -165,7 +165,7 @@ def test_single_precision_keeps_the_half_of_the_stride(
 
 @pytest.fixture(scope="module")
 def env() -> StackEnv:
-    stack = standing_stack(standing_library())
+    stack = directions_stack(standing_library())
     drop = (*EPISODE_ENDS, "noise", "fall", "estimator", "observation", "path_diff", "heading_diff")
     return aslip.make_env(stack=stack, num_envs=2, num_threads=1, drop=drop, seed=0)
 
@@ -182,7 +182,7 @@ def _step(env: StackEnv, td: TensorDictBase) -> TensorDictBase:
 
 
 def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None:
-    """Without jumps; the goal of a step is the next reference, bit for bit."""
+    """Without jumps; the target of a step is the next reference, bit for bit."""
     td = _start(env, [[0.1, 0.0, 0.1], [0.0, 0.0, 0.0]], phase=[0.1, 0.65], stand=[0.0, 0.0])
     modes = []
     for count in range(44):
@@ -192,11 +192,11 @@ def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None
         modes.append(td["mode"][:, 0].tolist())
         steer = td["filtered_command"]
         for name in ("body_position", "left_foot_position", "right_foot_position"):
-            goal, now = past["goal", name], td["reference", name]
-            torch.testing.assert_close(now, goal, rtol=0, atol=0.02)
+            target, now = past["target", name], td["reference", name]
+            torch.testing.assert_close(now, target, rtol=0, atol=0.02)
             # a change of the stand command or of the command is not foreseen
             if count not in (1, 25) and torch.equal(past["filtered_command"], steer):
-                assert torch.equal(now, goal)
+                assert torch.equal(now, target)
         if count == 24:
             assert not td["filtered_command"].any()
             assert (td["mode"] == WalkMode.STAND).all()
@@ -224,7 +224,7 @@ def test_stops_are_faster_than_changes_of_the_command(env: StackEnv) -> None:
 def test_rates_that_are_faster_than_those_of_stops_stay(stand: float, mode: WalkMode) -> None:
     """Until the robot walks again."""
     commands, modes = torch.tensor([[stand], [0.0]]), torch.tensor([[mode], [WalkMode.WALK]])
-    rates = led_rates((2.0, 0.5, 1.0), commands, modes)
+    rates = stop_rates((2.0, 0.5, 1.0), commands, modes)
     assert rates.tolist() == [[2.0, STOP_RATES[1], 1.0], [2.0, 0.5, 1.0]]
 
 
@@ -278,4 +278,4 @@ def test_library_without_stop_and_start_has_no_clock_for_them() -> None:
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
         StandClock(symmetric_library())
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
-        standing_stack(symmetric_library())
+        directions_stack(symmetric_library())

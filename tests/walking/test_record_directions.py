@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 import aslip
-from aslip.envs import EPISODE_ENDS, StackEnv, directions_stack
+from aslip.envs import EPISODE_ENDS, StackEnv, walking_stack
 from aslip.errors import ShapeError
 from aslip.robot import CASSIE, SIDES
 from aslip.training.environments import make_evaluation_env
@@ -27,7 +27,7 @@ STEPS = 8
 
 
 def make(num_envs: int = 2, seed: int = 0) -> StackEnv:
-    stack = directions_stack(symmetric_library())
+    stack = walking_stack(symmetric_library())
     return aslip.make_env(
         stack=stack, num_envs=num_envs, seed=seed, num_threads=1, drop=(*EPISODE_ENDS, "noise")
     )

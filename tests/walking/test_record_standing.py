@@ -25,7 +25,7 @@ def library() -> GaitLibrary:
 
 def make(library: GaitLibrary, num_envs: int = 1, **settings: object) -> StackEnv:
     return aslip.make_env(
-        stack="standing", library=library, num_envs=num_envs, num_threads=1, drop=EPISODE_ENDS,
+        stack="directions", library=library, num_envs=num_envs, num_threads=1, drop=EPISODE_ENDS,
         **settings,  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
 
@@ -78,16 +78,16 @@ def test_substeps_take_stand_commands(library: GaitLibrary) -> None:
 def test_stand_commands_need_a_stack_that_stands() -> None:
     env = aslip.make_env(num_threads=1, drop=EPISODE_ENDS, seed=0)
     record_walks(limp(), env, np.zeros((2, 1)), np.zeros((2, 1)))
-    with pytest.raises(ConfigurationError, match="standing_stack"):
+    with pytest.raises(ConfigurationError, match="directions_stack"):
         record_walks(limp(), env, np.zeros((2, 1)), np.array([[0], [1]]))
-    with pytest.raises(ConfigurationError, match="standing_stack"):
+    with pytest.raises(ConfigurationError, match="directions_stack"):
         record_substeps(limp(), env, np.zeros(2), np.ones(2))
 
 
 def test_standing_robots_step_when_they_are_pushed_and_stand_again() -> None:
     """By 12 N s, forward, back and to the right; without a step they fall."""
-    env = aslip.make_env(num_envs=3, seed=7, stack="standing", drop=EPISODE_ENDS, num_threads=1)
-    policy, still = aslip.load_policy("aslip"), np.zeros((3, 3))
+    env = aslip.make_env(num_envs=3, seed=7, stack="directions", drop=EPISODE_ENDS, num_threads=1)
+    policy, still = aslip.load_policy("directions"), np.zeros((3, 3))
     push = 12 / (7 * CASSIE.policy_period) * np.array([[1, 0, 0], [-1, 0, 0], [0, -1, 0]])
     with commands_kept(env):
         td, modes = reset_walks(env, still, stand=1.0), []

@@ -1,6 +1,6 @@
 """Export a policy to ONNX, with everything that a robot needs to run it, and check the file.
 
-    python -m aslip.control.export --policy aslip --out aslip.onnx
+    python -m aslip.control.export --policy directions --out directions.onnx
 
 Motor targets are compared with PyTorch's, on the golden trace and at further policy steps.
 """
@@ -19,7 +19,7 @@ from aslip.errors import one_line_errors
 class Config(UserPaths):
     """Settings of an export."""
 
-    policy: str = "aslip"
+    policy: str = "directions"
     """Name of a shipped policy, policy file, or folder of a training run."""
     out: Path = Path("policy.onnx")
     """ONNX file to write."""

@@ -44,7 +44,7 @@ _GANTRY_RAMP = 2.0
 class Config(UserPaths):
     """Settings of the runner."""
 
-    policy: str = "aslip"
+    policy: str = "directions"
     """Name of a shipped policy, policy file, or folder of a training run."""
     library: str | None = None
     """Gait library of the policy: file, or name of a shipped one; by default that of its stack."""

@@ -1,6 +1,6 @@
 """Page in the browser to watch and steer one robot in real time.
 
-    page = LivePage(Walker(), {"aslip": "aslip", "mine": "runs/ppo_directions"})
+    page = LivePage(Walker(), {"directions": "directions", "mine": "runs/ppo_directions"})
     page.serve()  # until Ctrl-C
 
 Needs viser: `pip install 'aslip[live]'`.

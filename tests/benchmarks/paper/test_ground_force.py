@@ -52,8 +52,8 @@ def test_the_table_names_a_fall_and_a_robot_that_stands(
 
 
 def test_policies_for_other_gaits_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="'aslip' follows gaits in all directions"):
-        ground_force.main(Config(policy=("straight", "aslip"), out=tmp_path))
+    with pytest.raises(ConfigurationError, match="'directions' follows gaits in all directions"):
+        ground_force.main(Config(policy=("straight", "directions"), out=tmp_path))
 
 
 @pytest.mark.usefixtures("made", "falling")

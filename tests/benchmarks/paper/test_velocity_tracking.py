@@ -19,7 +19,9 @@ Written = Callable[[str], dict[str, Any]]
 
 
 def test_a_policy_tracks_its_command(tmp_path: Path, written: Written) -> None:
-    config = Config(policy=("aslip",), out=tmp_path, speeds=(0.5,), hold=0.5, settle=1.0, walk=3.0)
+    config = Config(
+        policy=("directions",), out=tmp_path, speeds=(0.5,), hold=0.5, settle=1.0, walk=3.0
+    )
     numbers = velocity_tracking.main(config)
     commands = [row["command"] for row in numbers["schedule"]]
     assert commands == pytest.approx(velocity_tracking.SCHEDULE)

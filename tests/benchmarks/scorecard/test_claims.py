@@ -205,5 +205,5 @@ def test_report_has_two_tables_with_verdicts(
 
 
 def test_policies_for_other_gaits_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="'aslip' follows gaits in all directions"):
-        main(Config(policy=("straight", "aslip"), out=tmp_path))
+    with pytest.raises(ConfigurationError, match="'directions' follows gaits in all directions"):
+        main(Config(policy=("straight", "directions"), out=tmp_path))

@@ -197,8 +197,8 @@ def test_missing_policies_are_named_before_the_server_starts(open_page, monkeypa
         open_page({"straight": "straight", "other": "nobody"})
     with pytest.raises(ConfigurationError, match="empty"):
         open_page({})
-    with pytest.raises(ConfigurationError, match="'aslip' does not fit the environment"):
-        open_page({"straight": "straight", "all directions": "aslip"})
+    with pytest.raises(ConfigurationError, match="'directions' does not fit the environment"):
+        open_page({"straight": "straight", "all directions": "directions"})
 
 
 def test_stop_ends_serving_and_closes_the_page(open_page):

@@ -14,7 +14,7 @@ import pytest
 from tensordict import TensorDictBase
 
 import aslip
-from aslip.envs import EPISODE_ENDS, directions_stack
+from aslip.envs import EPISODE_ENDS, walking_stack
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
@@ -134,7 +134,7 @@ def desk(opened: Desk) -> Desk:
 def test_a_key_a_button_and_a_gamepad_let_the_robot_stand(browser):
     library = standing_library()
     env = aslip.make_env(
-        stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
+        stack="directions", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
     )
     walker = Walker(limp(), env, library=library)
     script = "window.pad = null; navigator.getGamepads = () => [window.pad];"
@@ -155,7 +155,7 @@ def test_a_key_a_button_and_a_gamepad_let_the_robot_stand(browser):
 # first, because the page of the other tests slows the browser down
 @pytest.mark.slow
 def test_keys_and_a_gamepad_steer_in_all_directions(browser):
-    stack = directions_stack(symmetric_library())
+    stack = walking_stack(symmetric_library())
     env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS, seed=0)
     walker = Walker(limp(), env, library=symmetric_library(), speed=0.4)
 

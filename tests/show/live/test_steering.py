@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 import aslip
-from aslip.envs import EPISODE_ENDS, directions_stack
+from aslip.envs import EPISODE_ENDS, walking_stack
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
@@ -21,7 +21,7 @@ from tests.show.live.visitor import visit
 @pytest.fixture(scope="module")
 def walker() -> Walker:
     library = symmetric_library()
-    env = aslip.make_env(stack=directions_stack(library), num_threads=1, drop=EPISODE_ENDS, seed=0)
+    env = aslip.make_env(stack=walking_stack(library), num_threads=1, drop=EPISODE_ENDS, seed=0)
     return Walker(limp(), env, library=library, speed=0.2)
 
 
@@ -95,7 +95,7 @@ def test_every_press_of_a_key_counts_however_slow_the_simulation_is(page: LivePa
 def standing_walker() -> Walker:
     library = standing_library()
     env = aslip.make_env(
-        stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
+        stack="directions", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
     )
     return Walker(limp(), env, library=library, speed=0.0)
 
