@@ -41,13 +41,16 @@ class Config(UserPaths):
     out: Path = Path("runs/directions")
     """Folder of the library."""
     forward: tuple[float, ...] = (
-        *(-0.8, -0.53, -0.27, 0.0, 0.35, 0.7, 0.85, 1.0, 1.15, 1.275, 1.4, 1.5),
-        *(1.6, 1.7, 1.8, 1.9, 2.0, 2.1, 2.2),
+        *(-0.8, -0.6, -0.45, -0.26, -0.08, 0.0, 0.18, 0.42, 0.69, 0.88, 1.02, 1.15, 1.26, 1.34),
+        *(1.42, 1.5, 1.575, 1.645, 1.71, 1.765, 1.82, 1.865, 1.91, 1.95, 1.99, 2.03, 2.06),
+        *(2.095, 2.13, 2.165, 2.2),
     )
     """Ascending forward speeds [m/s]."""
-    sideways: tuple[float, ...] = (0.0, 0.08, 0.16, 0.24, 0.32, 0.41, 0.5)
+    sideways: tuple[float, ...] = (0.0, 0.07, 0.15, 0.22, 0.28, 0.34, 0.42, 0.5)
     """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
-    yaw_rates: tuple[float, ...] = (0.0, 0.17, 0.34, 0.5, 0.67, 0.84, 1.0)
+    yaw_rates: tuple[float, ...] = (
+        *(0.0, 0.065, 0.15, 0.24, 0.335, 0.425, 0.52, 0.61, 0.69, 0.77, 0.86, 1.0),
+    )
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
     """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; the default
