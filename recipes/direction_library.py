@@ -1,6 +1,6 @@
 r"""Build a library of gaits in all directions from an empty folder, or go on with a build.
 
-python recipes/direction_library.py                        # 2581 gaits, in runs/directions
+python recipes/direction_library.py                        # 8543 gaits, in runs/directions
 python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
     --yaw-rates 0 0.5 --limits
 
