@@ -217,7 +217,7 @@ def test_the_program_runs_in_real_time() -> None:
         port = int(process.stdout.readline().split(f"{SIMULATOR.host}:")[1].split(";")[0])
         with socket_to(Address(LOOPBACK, port), raw=True) as client:
             client.request(USER_IN.zeros(), timeout=30.0)
-        process.send_signal(signal.SIGHUP)  # of a closed terminal
+        process.send_signal(signal.SIGTERM)
         said = process.stdout.read()
         assert " ticks, " in said and "divergences, datagrams" in said
-    assert process.returncode == 128 + signal.SIGHUP
+    assert process.returncode == 128 + signal.SIGTERM
