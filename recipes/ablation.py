@@ -27,7 +27,7 @@ from aslip.transforms import WeightedReward
 from aslip.walking import TRACKING_TOLERANCE, WalkResult
 
 NEVER: Final = 10**12
-"""Interval of evaluations for short trainings, which shall have none [policy steps]."""
+"""Interval of evaluations, longer than a training, so that there is none [policy steps]."""
 
 _RESULTS = "results.json"
 

@@ -21,7 +21,7 @@ from aslip.errors import ConfigurationError, one_line_errors
 
 @dataclass(frozen=True)
 class Config(UserPaths):
-    """Settings of the benchmark."""
+    """Settings of the card."""
 
     name: str
     """Name by which `aslip.load_policy` finds the policy."""

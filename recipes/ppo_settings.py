@@ -30,12 +30,12 @@ with extras():
     import tyro
 
 DESCRIPTIONS = {
-    "default": "aslip stack with feedforward torques, settings for fast learning",
+    "default": "the stack `straight`, with feedforward torques; settings for fast learning",
     "paper": "paper's stack and settings, as far as given (5120 samples instead of 5096)",
     "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
     "robust": "domain randomisation: robot, floor and sensor noise differ between episodes",
     "truth": "policy observes the true state instead of the estimate",
-    "straight": "physics of 2 kHz instead of 1 kHz in training, as walks have",
+    "straight": "the default with physics of 2 kHz; the shipped policy `straight` is one of these",
 }
 
 TIMESTEPS = (0.0005, 0.001)

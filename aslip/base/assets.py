@@ -31,7 +31,7 @@ def asset_path(name: str) -> Path:
 
 
 def user_path(path: str | Path) -> Path:
-    """Path that a user names; it may begin with `~`, the home folder, which only shells know."""
+    """Path that a user names; it may begin with `~`, the home folder, as in a shell."""
     return Path(os.path.expanduser(path))
 
 

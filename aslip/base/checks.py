@@ -53,7 +53,7 @@ def check_count(name: str, value: Any, least: int = 1, most: int | None = None) 
 
 
 def check_ids(ids: Any, num: int) -> np.ndarray:
-    """Return robots of `num` as indices (k,).
+    """Return indices (k,) of some of `num` robots.
 
     Raises:
         ConfigurationError: `ids` are not ascending, unique whole numbers from 0 to `num` - 1.

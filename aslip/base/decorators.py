@@ -53,7 +53,7 @@ def check_types(function: Function) -> Function:
 
     @functools.wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        with contextlib.suppress(TypeError):  # of other arguments, about which Python tells
+        with contextlib.suppress(TypeError):  # missing or unknown arguments: the call raises it
             given = signature.bind(*args, **kwargs).arguments
             for name, kind in get_type_hints(function).items():
                 if name in given and not _is_a(got := given[name], kind):

@@ -100,7 +100,7 @@ def claimed(path: Path, *, wait: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
-        if key in _CLAIMS:  # not so in a fork, which must leave it alone
+        if key in _CLAIMS:  # a fork must not release its parent's claim
             claim = _CLAIMS[key]
             claim[1] -= 1
             if not claim[1]:

@@ -110,8 +110,8 @@ class Controller(ControllerBase[ControllerState]):
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
-        ConfigurationError: the policy's action is not a delta that is added to angles; it was
-            trained on other gaits; or robots shall stand, and the library has no stop and start.
+        ConfigurationError: the policy's action is not a delta that is added to angles; it
+            follows other gaits; or `stands` is true, and the library has no stop and start.
     """
 
     @check_types

@@ -34,7 +34,7 @@ class Steering:
     `CommandFilter`. Robots that take stand commands have `StandClock` and `StandFilter`.
 
     Raises:
-        ConfigurationError: robots shall stand, and the library has no stop and start, or one axis,
+        ConfigurationError: `stands` is true, and the library has no stop and start, or one axis,
             or there are not three rates.
     """
 

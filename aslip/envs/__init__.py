@@ -12,7 +12,7 @@ An experiment changes the default stack in a line or two:
     make_env(stack=randomise_stack(default_stack()))             # domain randomisation
     make_env(stack="paper")                                      # the paper's own settings
     make_env(stack="single_reference")                           # the paper's baseline
-    make_env(stack="directions")                                   # all directions, and standing
+    make_env(stack="directions")                                 # all directions, and standing
 
 A stack is an ordered dict, name -> transform, of which each environment gets copies. The transforms
 of an environment are never edited in place, as TorchRL would keep stale specs: edit the stack, and

@@ -73,8 +73,8 @@ class CommandGrid(nn.Module):
     def gauge(self, command: Tensor) -> Tensor:
         """Distance (*b, 1) of commands from the centre of a cut region, 1 at its border."""
         normals = self.get_buffer("_normals")
-        way = (command.to(normals.dtype) - self.get_buffer("_centre"))[..., self._wide]
-        return (way @ normals.T).amax(-1, keepdim=True)
+        offset = (command.to(normals.dtype) - self.get_buffer("_centre"))[..., self._wide]
+        return (offset @ normals.T).amax(-1, keepdim=True)
 
     def clamp(self, command: Tensor) -> Tensor:
         """Commands (*b, c) moved into the region, continuously.

@@ -267,7 +267,7 @@ class GaitLibrary(nn.Module):
         """Reference motion of a stop, of standing or of a start.
 
         Args:
-            phase: (*b, 1) stride fraction, which tells the foot that landed last and the progress
+            phase: (*b, 1) stride fraction, which gives the foot that landed last and the progress
                 of a stop or start, see `aslip.library.transitions`. Beyond its ends a transition
                 holds its first or last sample.
             mode: (*b, 1) values of `WalkMode` other than walking.
@@ -302,10 +302,10 @@ class GaitLibrary(nn.Module):
         stop, start = (torch.full_like(halves, mode) for mode in (WalkMode.STOP, WalkMode.START))
         gait, ends = self.lookup(phase, in_place), self.transition(phase, torch.cat([stop, start]))
         standing = table.standing + halves
-        stood, begun = self.transition(standing, stop), self.transition(standing, start)
+        stopped, starting = self.transition(standing, stop), self.transition(standing, start)
         gaps = {
             "stop and start must join the gait of the library in place": _gap(gait, ends),
-            "a start must begin where a stop ends": _gap(stood, begun),
+            "a start must begin where a stop ends": _gap(stopped, starting),
         }
         for demand, gap in gaps.items():
             if not gap <= _JOINT:

@@ -14,7 +14,7 @@ Command = float | tuple[float, ...]
 """Forward speed [m/s]; or forward speed, sideways speed [m/s] and yaw rate [rad/s]."""
 
 STAND: Final = "stand"
-"""Word of a schedule for the wish to stand."""
+"""Word of a schedule for the stand command."""
 
 
 def numbers(command: Command) -> tuple[float, ...]:
@@ -31,7 +31,7 @@ class Schedule:
     commands: tuple[Command, ...]
     """Commands of one size."""
     stands: tuple[bool, ...] = ()
-    """True for each command with the wish to stand, which is zero; empty if there is none."""
+    """True where the robot is to stand, at a zero command; empty if it never is."""
 
     def __post_init__(self) -> None:
         """Check the times.
@@ -45,7 +45,7 @@ class Schedule:
             raise ConfigurationError(f"a schedule needs as many times as commands, got {given}")
         if len(self.stands) not in (0, len(self.times)):
             raise ConfigurationError(
-                f"a schedule needs as many wishes to stand as commands, got {self.stands}"
+                f"a schedule needs as many stand commands as commands, got {self.stands}"
             )
         components = [number for command in self.commands for number in numbers(command)]
         if not all(map(math.isfinite, (*self.times, *components))):
@@ -88,7 +88,7 @@ class Schedule:
         return self.commands[self._index(time)]
 
     def stand_at(self, time: float) -> bool:
-        """Wish to stand at a time [s]."""
+        """Whether the robot is to stand at a time [s]."""
         return bool(self.stands) and self.stands[self._index(time)]
 
     def _index(self, time: float) -> int:

@@ -1,6 +1,6 @@
 """Standing and the transitions to and from it: their table, looked up by phase and mode.
 
-The phase of the stride tells how far a transition is, so that the clock never jumps. A stop begins
+The phase of the stride also measures a transition, so the clock never jumps. A stop begins
 at a touchdown, phase p of the gait in place, and ends in the middle between it and the next
 lift-off; there the robot stands, and from there a start leads to the lift-off:
 

@@ -261,7 +261,7 @@ def policy_stack(name_or_path: str | Path) -> str:
 def policy_library(name_or_path: str | Path) -> str:
     """Name of the shipped library with the gaits of a policy's stack, see `GaitLibrary.load`.
 
-    For a stack without a name, the observation tells whether the policy walks in all directions.
+    For a stack without a name, it follows from the entries of the observation.
 
     Raises:
         AssetError: there is no such policy.
@@ -295,7 +295,7 @@ def _known_observations() -> list[list[str]]:
 def check_policy_library(
     name_or_path: str | Path, card: Mapping[str, Any], sha256: Callable[[], str]
 ) -> None:
-    """Check that a policy was trained on given gaits, if its file tells.
+    """Check that a policy follows given gaits, if its file names any.
 
     Args:
         name_or_path: name or path, for the message.
@@ -304,14 +304,14 @@ def check_policy_library(
             one, because it reads all arrays.
 
     Raises:
-        ConfigurationError: it was trained on others.
+        ConfigurationError: it follows others.
     """
-    trained = card["library_sha256"]
-    if trained is not None and trained != (given := sha256()):
+    followed = card["library_sha256"]
+    if followed is not None and followed != (given := sha256()):
         raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} was trained on other gaits: the SHA-256 of its"
-            f" library begins with {trained[:12]}, that of the given one with {given[:12]}; give"
-            " the library of its training (programs take --library FILE)"
+            f"the policy {str(name_or_path)!r} follows other gaits: the SHA-256 of its"
+            f" library begins with {followed[:12]}, that of the given one with {given[:12]}; give"
+            " its own library (programs take --library FILE)"
         )
 
 

@@ -36,7 +36,7 @@ def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
     """Renderer of pictures of one size [pixels]; `close` frees it.
 
     Raises:
-        RenderingError: OpenGL does not work, or not as MUJOCO_GL wants it.
+        RenderingError: OpenGL does not work, or not with the backend in MUJOCO_GL.
     """
     global _fatal
     context, problem = _working_context()

@@ -110,11 +110,11 @@ class Robot:
     """Bits of the joint encoders, per turn of the joint."""
 
     physics_timestep: float
-    """Period of physics and PD loop [s]."""
+    """Period of the PD loop, and of physics unless a coarser one is chosen [s]."""
     substeps: int
-    """Physics steps per policy step."""
+    """Substeps, ticks of the PD loop, per policy step."""
     packet_substeps: int
-    """Physics steps between sensor packets."""
+    """Substeps between sensor packets."""
     torque_delay: float
     """Time from a torque command to its action [s]."""
 

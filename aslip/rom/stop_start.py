@@ -3,8 +3,8 @@ r"""Optimal control problem: from stepping in place to standing, and from standi
 Both feet stay on the ground. The stop begins at a touchdown of the gait in place, with all of its
 state, and ends at rest in static equilibrium, the body halfway between the feet. The start leads
 from that rest to the gait's next lift-off. Both durations and the height at rest are free; the
-integral of the squared inputs over both is minimised. Holding the weight costs effort, too, so that
-the durations are finite.
+integral of the squared inputs over both is minimised. Holding the weight costs effort, too, so the
+durations are finite.
 
 The in-place gait stays in the plane of its feet, where no leg pushes forward or backward. So the
 forward components of the last states are left free: they follow.

@@ -70,7 +70,7 @@ SENT: Final[tuple[NestedKey, ...]] = (
 )
 """Entries of every batch for the learner."""
 
-# Ray's object store [byte]; a stack with the library of all directions has 157 MB, a batch 1.3 MB
+# Ray's object store [byte]; it holds the stack with its library, and batches of 1.3 MB
 _STORE = 2**29
 # frames of an endless collector
 _ENDLESS = 2**62

@@ -1,4 +1,4 @@
-"""Curriculum: training begins with easy robots, and becomes harder with experience."""
+"""Curriculum: training begins with nominal robots; ranges and pushes grow with policy steps."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ class ObservationNoise(SeededTransform):
             if sensor in self._levels:
                 drawn = self._levels[sensor][1] * _normal(drawn.shape, self._of_resets[sensor])
             tensordict.set(("sensor_bias", sensor), drawn)
-        return self._spoil(tensordict, self._of_resets)
+        return self._add_noise(tensordict, self._of_resets)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in _BIAS_KEYS:
@@ -119,9 +119,9 @@ class ObservationNoise(SeededTransform):
                 fresh = self._levels[sensor][1] * _normal(bias.shape, self._of_steps[sensor])
                 bias = self._decay * bias + self._renewal * fresh
             next_tensordict.set(key, bias)
-        return self._spoil(next_tensordict, self._of_steps)
+        return self._add_noise(next_tensordict, self._of_steps)
 
-    def _spoil(
+    def _add_noise(
         self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
     ) -> TensorDictBase:
         """Add the given biases and white noise to the packets."""

@@ -95,7 +95,8 @@ def foot_pos(
     r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
 
     Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
-    tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
+    tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch. The
+    scale is 1 m: errors of both feet that add up to 0.1 m cost a tenth of the term.
 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.

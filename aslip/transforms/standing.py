@@ -56,9 +56,9 @@ def advance_mode(
 
     A stop begins at a touchdown, if the stand command is 1 and the robot steps in place and is
     steady by then. It ends in standing, which lasts as long as the stand command is 1; then a start
-    leads back to the gait in place. A started stop or start is finished. Changes of mode within the
-    time are exact. A robot that stands and is not steady any more walks on at once, with a step of
-    the foot that it does not lean to.
+    leads back to the gait in place. No stop or start is broken off. Changes of mode within `period`
+    are exact. A robot that stands and is not steady any more steps at once, with the foot that it
+    does not lean to, and walks on.
 
     Args:
         library: gaits with transitions.
@@ -294,7 +294,7 @@ class StandFilter(CommandFilter):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # in a stack, transforms of the other entries come later: they are in the request so far
+        # in a stack, later transforms write the other entries: until then they are in the request
         known = tensordict if tensordict_reset.get("mode", None) is None else tensordict_reset
         command = stop_target(tensordict_reset["command"], known["stand"], known["mode"])
         return tensordict_reset.set("filtered_command", command.clone())

@@ -23,7 +23,7 @@ class Config(Directions):
     commands: int = 200
     """Number of random commands."""
     settle: float = 4.0
-    """Duration of settling [s]."""
+    """Time at the start that is not measured [s]."""
     walk: float = 4.0
     """Duration of the measurement [s]."""
 

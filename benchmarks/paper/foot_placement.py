@@ -50,7 +50,7 @@ class Config(WithLibrary):
     speeds: tuple[float, ...] = tuple(PUBLISHED)
     """Commanded speeds [m/s]."""
     settle: float = 4.0
-    """Duration of settling [s]."""
+    """Time at the start whose footsteps are not measured [s]."""
     walk: float = 12.0
     """Duration of the measurement [s]."""
     footsteps: int = 15

@@ -29,7 +29,7 @@ class Config(Common):
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded speeds [m/s]."""
     settle: float = 4.0
-    """Duration of settling [s]."""
+    """Time at the start that is not measured [s]."""
     walk: float = 8.0
     """Duration of the measurement [s]."""
 

@@ -19,7 +19,7 @@ class Config(WithLibrary):
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds [m/s]."""
     settle: float = 4.0
-    """Duration of settling [s]."""
+    """Time at the start that is not measured [s]."""
     walk: float = 16.0
     """Duration of the measurement [s]."""
 

@@ -27,7 +27,7 @@ class Config(WithLibrary):
     transient: float = 1.5
     """Time after a change of the command that means over the schedule exclude [s]."""
     settle: float = 4.0
-    """Duration of settling for the map [s]."""
+    """Time at the start of a walk that the map leaves out [s]."""
     walk: float = 8.0
     """Duration of the measurement for the map [s]."""
 

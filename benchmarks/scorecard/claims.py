@@ -1,10 +1,10 @@
-"""Sentences of the paper and targets of this project, judged by numbers of several seeds.
+"""Sentences of the paper and targets of this project, tested on several seeds.
 
     python -m benchmarks.scorecard.claims --baseline single_reference  # shipped policies, one seed
     python -m benchmarks.scorecard.claims --policy runs/seed0 runs/seed1 --paper runs/paper0
 
-Two tables. Sentences of the paper are judged on its settings (`--paper`) and its baseline
-(`--baseline`), with the default settings (`--policy`) beside them; targets are judged on the
+Two tables. Sentences of the paper are tested on its settings (`--paper`) and its baseline
+(`--baseline`), with the default settings (`--policy`) beside them; targets are tested on the
 default settings. A row passes if the whole 95 % interval over seeds meets its limit, fails if the
 whole interval misses it or a seed has no value (it fell), and is undecided otherwise. Some rows
 demand the limit of each seed. Training costs are read from run folders.
@@ -97,12 +97,12 @@ def report(rows: Mapping[str, Rows], policies: Sequence[Mapping[str, Any]]) -> s
 
 
 def _first(row: Mapping[str, Any]) -> str:
-    """Kind of policies on which a sentence is judged."""
+    """Kind of policies on which a sentence is tested."""
     return "baseline" if row["on_baseline"] else "paper"
 
 
 def _first_value(row: Mapping[str, Any]) -> str:
-    """Value on the kind of policies on which a sentence is judged."""
+    """Value on the kind of policies on which a sentence is tested."""
     text = value_text(row, _first(row))
     return f"baseline: {text}" if text and row["on_baseline"] else text
 

@@ -98,7 +98,7 @@ from benchmarks.scorecard.direction_values import SPEEDS, measure
 from benchmarks.scorecard.record import ValueRecord, describe, policies_text
 from benchmarks.scorecard.verdicts import Claim, Values, judged_rows, value_text
 
-_NOT_RECORDED: Final = ("policy", "out", "record", "picture", "library")  # a hash tells the library
+_NOT_RECORDED: Final = ("policy", "out", "record", "picture", "library")  # a hash names the library
 
 COLUMNS = {
     "target": "{name}",

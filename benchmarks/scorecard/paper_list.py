@@ -150,7 +150,7 @@ SENTENCES: Final = (
         at_most=2,
     ),
 )
-"""Sentences of the paper in its order; judged on the paper's settings."""
+"""Sentences of the paper in its order; tested on the paper's settings."""
 
 TARGETS: Final = (
     Claim(
@@ -188,4 +188,4 @@ TARGETS: Final = (
         digits=1,
     ),
 )  # fmt: skip
-"""Targets of this project; judged on the default settings."""
+"""Targets of this project; tested on the default settings."""

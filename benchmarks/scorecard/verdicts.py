@@ -2,7 +2,7 @@
 
 A claim passes if the whole 95 % interval over seeds meets its limit. It fails if the whole interval
 misses it, or if a seed has no value because it fell, and is undecided otherwise. Some claims demand
-the limit of each seed. One seed alone gets no verdict, but a word.
+the limit of each seed. One seed alone is "met", "missed" or "undecided", no verdict.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def judged_rows(
 ) -> list[dict[str, Any]]:
     """Rows of a table: the claim, and under "found" values and verdict of each kind of policies.
 
-    A claim is judged by all policies of a kind, or not at all.
+    A claim has a verdict only if every policy of the kind has a value for it.
 
     Args:
         claims: the claims.

@@ -156,7 +156,7 @@ def test_shipped_policies_walk_on_the_gaits_of_their_training_only() -> None:
         own = policy_library(policy)
         assert read_card(policy)["library_sha256"] == gaits(own).sha256
         other = gaits("gaits" if own == "single_reference" else "single_reference")
-        with pytest.raises(ConfigurationError, match=f"{policy!r} was trained on other gaits"):
+        with pytest.raises(ConfigurationError, match=f"{policy!r} follows other gaits"):
             Controller(policy, other)
 
 

@@ -33,7 +33,7 @@ def test_stand_is_a_zero_command_with_a_wish() -> None:
     assert Schedule.parse("stand").of_size(3) == Schedule((0.0,), ((0.0, 0.0, 0.0),), (True,))
     assert Schedule.parse("0:stand,2:1").commands == (0.0, 1.0)
     assert not Schedule.parse("1").stand_at(5.0)
-    with pytest.raises(ConfigurationError, match="wishes to stand"):
+    with pytest.raises(ConfigurationError, match="stand commands"):
         Schedule((0.0, 1.0), (0.0, 0.0), (True,))
 
 

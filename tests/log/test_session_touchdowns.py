@@ -71,7 +71,7 @@ def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -
     """The recorder is not told which gaits they are."""
     gaits, command = GaitLibrary.load("directions"), (0.3, 0.2, 0.4)
     env = _recorded(tmp_path / "a.mcap", directions_stack(gaits))
-    walk = _walk(env, tmp_path / "a.mcap", "aslip", command)
+    walk = _walk(env, tmp_path / "a.mcap", "directions", command)
     _check_planned(walk, Footholds(gaits), command)
     assert walk.metadata["gaits_sha256"] == gaits.sha256
 

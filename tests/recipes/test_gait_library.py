@@ -18,7 +18,7 @@ def test_builds_library_of_other_speeds(tmp_path: Path, capsys: pytest.CaptureFi
     gait_library.main(config)
     library = GaitLibrary.load(tmp_path / "mine.npz")
     assert library.speeds.tolist() == [0.5, 0.75]
-    assert library.made_by["command"].startswith("python recipes/")
+    assert library.made_by["command"].startswith("python ")
     for picture in ("gait.png", "gaits.png"):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     table = capsys.readouterr().out

@@ -76,7 +76,7 @@ def test_the_table_has_three_speeds(
 
 def test_policies_for_all_directions_have_a_shipped_library(files: tuple[Path, Path]) -> None:
     assert Walker("directions", seed=0).library is shipped_library("directions")
-    with pytest.raises(ConfigurationError, match=r"trained on other gaits.* --library FILE"):
+    with pytest.raises(ConfigurationError, match=r"follows other gaits.* --library FILE"):
         Walker(files[1])
     # the fixture's library is smaller
     with pytest.raises(SpeedOutOfRangeError, match="outside the gait library"):

@@ -28,7 +28,7 @@ _LOST = range(60, 63)  # steps without an estimate
 _TURN, _HEADING = 90, 0.25  # step at which the heading changes, and its new value [rad]
 _RESTART = 120  # step at which the robot restarts
 _PHASE = 0.25  # stride fraction at starts
-_STANDS = (range(10, 90), range(110, 140))  # steps with the command to stand; a restart within
+_STANDS = (range(10, 90), range(110, 140))  # steps with the stand command; the restart is within
 _PLACE = 0.1  # standard deviation of the distance from the path [m]
 
 

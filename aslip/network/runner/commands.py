@@ -63,7 +63,7 @@ class Scheduled(Source):
         self.sideways = any(any(numbers(command)[1:2]) for command in schedule.commands)
         """Whether a command goes sideways."""
         self.stands = any(schedule.stands)
-        """Whether the robot shall stand."""
+        """Whether the schedule has a stand command."""
 
     def request(self, time: float, walking: float) -> Request:
         """Request for the command that is due."""

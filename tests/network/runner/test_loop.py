@@ -271,7 +271,7 @@ def test_a_priority_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_policies_and_libraries_that_do_not_fit_are_named() -> None:
-    with pytest.raises(ConfigurationError, match="was trained on other gaits"):
+    with pytest.raises(ConfigurationError, match="follows other gaits"):
         load("straight", "single_reference")
     nine: Any = SimpleNamespace(
         start=lambda *_, **__: SimpleNamespace(motor_target=np.zeros((1, 9)))
