@@ -26,9 +26,6 @@ from recipes.ppo_settings import PRESETS
 from tests.library.standing import standing_library
 from tests.pages import DOCS, PAGES, ROOT, blocks, commands, links, page_name, prose, sections
 
-LARGEST_README = 9000
-"""Bytes."""
-
 # numbers on the pages -> smaller numbers for tests
 _LITTLE = "total_steps=64, num_envs=8, samples=64, minibatch=32, eval_steps=5"
 _SMALLER = {
@@ -258,10 +255,6 @@ def test_settings_on_the_page_of_differences_are_those_of_the_presets() -> None:
 
 
 # ------------------------------------------------------------------------ README
-
-
-def test_the_readme_is_short() -> None:
-    assert (ROOT / "README.md").stat().st_size <= LARGEST_README
 
 
 def test_the_readme_names_the_versions_of_python_that_can_be_installed() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from aslip.base.checks import check_count
-from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
+from aslip.envs import BatchEnv, DmControlEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import SimulationPool, Simulations
 
@@ -62,15 +62,6 @@ def test_unknown_robots_are_named(make: Maker, ids: Any) -> None:
     with pytest.raises(ConfigurationError, match=expected):
         simulations.reset(np.array(ids))
     np.testing.assert_array_equal(simulations.states(), before)
-
-
-@pytest.mark.parametrize("make", ENVIRONMENTS)
-def test_dynamics_of_unknown_robots_are_refused(make: Maker) -> None:
-    env: SimulatedEnv = make(NUM)
-    for ids in ([-1], [NUM], [True]):
-        with pytest.raises(ConfigurationError, match="robots 0 to 3"):
-            env.set_dynamics({"mass": 1.1}, np.array(ids))
-    assert not env.altered
 
 
 @pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])

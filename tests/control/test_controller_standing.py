@@ -124,8 +124,6 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
         Controller(_without_gaits(path), symmetric_library())
-    with pytest.raises(ConfigurationError, match="stop and start"):
-        aslip.make_env(stack="directions", library=symmetric_library())
 
 
 def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> None:

@@ -8,11 +8,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip.envs import default_stack, insert_before
 from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot.model import load_model
-from aslip.transforms import RandomDynamics
 from tests.helpers import MakeEnv
 
 BACKENDS = ("batch", "dm_control")
@@ -65,20 +63,6 @@ def test_robots_have_the_requested_dynamics(make: MakeEnv, backend: str) -> None
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
     env.reset()
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
-
-
-def test_requested_dynamics_override_domain_randomisation(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
-    ranges = {"mass": (0.9, 1.1), "floor_friction": (0.4, 0.6)}
-    stack = insert_before(default_stack(library), "start", dynamics=RandomDynamics(ranges))
-    env = make(num_envs=2, stack=stack)
-    dynamics = _values("mass", 1.5, 0.8).update(_values("payload", 3.0, 0.0))
-    env.reset(_request(dynamics=dynamics))
-    found = env.base_env.dynamics
-    assert found["mass"].tolist() == pytest.approx([1.5, 0.8])
-    assert found["payload"].tolist() == [3.0, 0.0]
-    assert ((found["floor_friction"] >= 0.4) & (found["floor_friction"] <= 0.6)).all()
 
 
 @pytest.mark.parametrize("drop", [[], ["start"]])

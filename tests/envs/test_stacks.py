@@ -22,7 +22,6 @@ from aslip.envs import (
     insert_before,
     make_env,
     randomise_stack,
-    reward_terms,
 )
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, pendulum_library
@@ -49,12 +48,6 @@ def test_unknown_names_are_refused_with_a_suggestion(make: MakeEnv, how: str) ->
     with pytest.raises(UnknownNameError, match="did you mean 'foot_orient'") as info:
         make(**{how: edit})
     assert "'low_reward'" in str(info.value)  # all names are listed
-
-
-def test_drop_takes_a_single_name(make: MakeEnv) -> None:
-    """drop="foot_orient" is one name, not a list of letters."""
-    terms = make(drop="foot_orient").observation_spec["reward_terms"]
-    assert set(terms.keys()) == set(reward_terms()) - {"foot_orient"}
 
 
 def test_steps_and_resets_build_no_specs(

@@ -14,7 +14,6 @@ from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.library import GaitLibrary
 from aslip.transforms import (
     SeededTransform,
-    TrueState,
 )
 from tests.helpers import MakeEnv
 
@@ -66,14 +65,6 @@ def test_observation_does_not_depend_on_the_true_state(make: MakeEnv, library: G
         assert not torch.isfinite(theirs["truth", "qpos"]).any()
         assert torch.equal(ours["observation"], theirs["observation"])
         assert torch.isfinite(ours["observation"]).all()
-
-
-def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLibrary) -> None:
-    """With `TrueState` the NaN of `NoTruth` reach the observation."""
-    edit = {"replace": {"estimator": TrueState()}}
-    whole, unaware = (_walk(env, 1) for env in _envs(make, library, **edit))
-    assert torch.isfinite(whole[0]["observation"]).all()
-    assert torch.isnan(unaware[0]["observation"]).any()
 
 
 # ----------------------------------------------------------------------- estimates

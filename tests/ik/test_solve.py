@@ -176,22 +176,3 @@ def test_pose_does_not_depend_on_its_batch(kinematics, smooth_motion):
         for i in (0, 18, 36):
             alone = solve(kinematics, *(_take(target, [i]) for target in targets))
             np.testing.assert_array_equal(getattr(alone, name)[0], whole[i])
-
-
-def test_solver_reproduces_the_shipped_library(kinematics, library):
-    """The solver gives the poses of the shipped file."""
-    phase = np.arange(library.table.qpos.shape[1]) / library.table.qpos.shape[1]
-    for row in (0, 10, 20):
-        motion = library.gaits[row].sample(phase)
-        solution = solve(
-            kinematics,
-            BodyTarget(motion.body.position, velocity=motion.body.velocity),
-            *(
-                BodyTarget(motion.feet.position[:, i], velocity=motion.feet.velocity[:, i])
-                for i in range(2)
-            ),
-        )
-        for name in ("motor_position", "motor_velocity", "qvel"):
-            expected = getattr(library.table, name)[row]
-            np.testing.assert_allclose(getattr(solution, name), expected, atol=1e-9)
-        np.testing.assert_allclose(solution.qpos[:, 3:], library.table.qpos[row][:, 3:], atol=1e-9)

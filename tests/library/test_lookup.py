@@ -17,7 +17,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aslip.envs import make_env
 from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE, SIDES
@@ -200,13 +199,6 @@ def test_velocities_are_the_rates_of_positions(
             torch.testing.assert_close(rate, expected, rtol=0, atol=2 * tolerance)
 
 
-def test_mean_velocity_is_the_commanded_speed(library: GaitLibrary) -> None:
-    phase = _phase_grid()
-    for speed in (0.0, 0.3, 1.0, 1.95):
-        velocity = library.lookup(phase, _column(speed, phase)).body_velocity.mean(dim=0)
-        torch.testing.assert_close(velocity, torch.tensor([speed, 0, 0]), rtol=0, atol=2e-3)
-
-
 def test_reference_half_a_stride_later_is_mirrored(library: GaitLibrary) -> None:
     """Positions and velocities half a stride apart are mirror images."""
     phase, speed = _random(300)
@@ -365,14 +357,3 @@ def test_state_dict_excludes_the_tables(library: GaitLibrary) -> None:
     assert not library.state_dict()
     assert not list(library.parameters())
     assert sum(buffer.nbytes for buffer in library.buffers()) < 6e6
-
-
-def test_environments_share_a_library(library: GaitLibrary) -> None:
-    envs = [make_env(num_envs=1, library=library, num_threads=1, seed=0) for _ in range(2)]
-    try:
-        used = [t.library for env in envs for t in env.transforms if hasattr(t, "library")]
-        assert len(used) == 8
-        assert all(one is library for one in used)
-    finally:
-        for env in envs:
-            env.close()

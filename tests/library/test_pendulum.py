@@ -30,23 +30,6 @@ def test_command_scales_only_the_forward_motion_of_the_pelvis(single: GaitLibrar
     assert torch.equal(single.stride(torch.tensor([[0.0], [2.0]])), torch.full((2, 1), WALK.stride))
 
 
-def test_stance_feet_are_still_at_the_walks_own_speed(single: GaitLibrary) -> None:
-    phase = torch.linspace(0.02, 0.44, 20, dtype=torch.float64)[:, None]
-    reference = single.lookup(phase, torch.full_like(phase, WALK.speed))
-    assert reference.right_foot_velocity.abs().max() < 1e-4
-    x = reference.body_position[:, 0] + reference.right_foot_position[:, 0]
-    forward = phase[:, 0].float() * WALK.speed * WALK.stride
-    assert float((x + forward).std()) < 1e-4
-
-
-def test_pendulums_have_speeds_and_strides_of_gaits(library: GaitLibrary) -> None:
-    gaits = library.gaits[5:7]
-    pendulums = pendulum_library(gaits, samples=32)
-    np.testing.assert_array_equal(pendulums.speeds, [gait.speed for gait in gaits])
-    np.testing.assert_array_equal(pendulums.table.strides, [gait.stride for gait in gaits])
-    assert np.ptp(pendulums.table.body_position[0, :, 2]) == 0
-
-
 def test_swing_feet_of_pendulums_are_as_far_below_the_body_as_in_gaits(
     library: GaitLibrary,
 ) -> None:

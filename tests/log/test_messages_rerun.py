@@ -185,26 +185,3 @@ def test_rerun_blueprint_follows_the_robot(chunk: ModuleType, rerun_log: RerunLo
         assert any(entity.startswith(origin) for entity in rerun_log.entities)
     frame = rerun_log.column(blueprint.followed, "CoordinateFrame:frame", static=True)
     assert frame == [["pelvis"]]
-
-
-def test_rerun_opens_log_and_blueprint_as_one_application(
-    walk: Walk, chunk: ModuleType, tmp_path: Path
-) -> None:
-    """Rerun ignores blueprints of other applications."""
-    import rerun
-
-    blueprint = asset_path("viewers/rerun.rbl")
-    name = Blueprint(blueprint, chunk).application
-    stream = rerun.RecordingStream(name)
-    stream.save(tmp_path / "both.rrd")
-    for path in (blueprint, walk[0]):
-        rerun.log_file_from_path(path, recording=stream)
-    stream.disconnect()
-    reader = chunk.RrdReader(tmp_path / "both.rrd")
-    assert {store.application_id for store in reader.blueprints()} == {name}
-    recordings = reader.recordings()
-    assert {store.application_id for store in recordings} == {name}
-    assert any(
-        "/cassie" in {str(part.entity_path) for part in reader.stream(store=store).to_chunks()}
-        for store in recordings
-    )

@@ -21,7 +21,6 @@ from aslip.base.assets import asset_path
 from aslip.base.provenance import commit
 from aslip.envs import BatchEnv, default_stack
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.estimation import FAULTS
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
@@ -303,15 +302,6 @@ def test_robot_description_has_the_poses_of_the_first_transforms(recording: Reco
     model = load_model()
     shown = sum(model.geom_group == 1)
     assert len(list(robot.iter("visual"))) >= shown + len(ROM_FRAMES)
-
-
-def test_component_names_are_in_order() -> None:
-    assert component_names("joint_position", 6) == [
-        f"joint_position_{joint}" for joint in CASSIE.joint_names
-    ]
-    assert component_names("contact", 2) == ["contact_left", "contact_right"]
-    assert component_names("fault", 4) == [f"fault_{fault}" for fault in FAULTS]
-    assert component_names("orientation", 4) == [f"orientation_{part}" for part in "wxyz"]
 
 
 def test_chosen_robot_is_recorded(make_recorded: Any, tmp_path: Path) -> None:

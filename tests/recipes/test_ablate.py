@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import ablate
 import ablate_directions
@@ -209,15 +208,6 @@ def test_results_of_another_budget_are_refused(finished: Path) -> None:
     for change in ({"total_steps": 32}, {"num_envs": 8}):
         with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
             ablate.main(replace(tiny(finished, "default"), **change))
-
-
-def test_the_first_message_estimates_the_remaining_time(tmp_path: Path) -> None:
-    config, experiment = tiny(tmp_path), Mock(step_seconds=187.5)
-    for done, expected in (([None] * 4, "4 of 4"), ([None, None, [], None], "3 of 4")):
-        text = ablation.announcement(config, experiment, done)
-        hours = "3:20:00" if len(done) == done.count(None) else "2:30:00"
-        assert f"{expected} trainings to go, 16 policy steps each: about {hours} " in text
-    assert ablation.announcement(config, experiment, [[]]) == "all of 1 trainings are done"
 
 
 def test_an_unknown_variant_is_refused(tmp_path: Path) -> None:

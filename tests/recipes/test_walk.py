@@ -15,7 +15,6 @@ import pytest
 
 from aslip.errors import (
     AslipError,
-    AssetError,
     ConfigurationError,
     SpeedOutOfRangeError,
     one_line_errors,
@@ -75,21 +74,11 @@ def test_fall_ends_the_walk_with_a_complete_log(
 @pytest.mark.parametrize(
     ("settings", "error", "names"),
     [
-        ({"policy": "nobody"}, AssetError, "nobody"),
         ({"command": "0:3.0"}, SpeedOutOfRangeError, "speed 3 m/s"),
-        ({"command": "4:1.0"}, ConfigurationError, "from 0"),
         ({"push": ("1",)}, ConfigurationError, "push is"),
         ({"duration": -1.0}, ConfigurationError, "duration"),
-        (
-            {"push": ("9:0,5,0",), "duration": 2.0},
-            ConfigurationError,
-            "push at 9 s is outside the walk, from 0 to 2 s",
-        ),
-        (
-            {"push": ("1.05:0,5,0", "1:5,0,0")},
-            ConfigurationError,
-            "1.05 s .*begins before",
-        ),
+        ({"push": ("9:0,5,0",), "duration": 2.0}, ConfigurationError, "9 s .*, from 0 to 2 s"),
+        ({"push": ("1.05:0,5,0", "1:5,0,0")}, ConfigurationError, "1.05 s .*begins before"),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"live": True, "command": "0:0.5,4:stand"}, ConfigurationError, "got the schedule"),
         ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import FileDamagedError, ShapeError
-from aslip.rom import Certificate, Gait, Mode, Track
+from aslip.rom import Gait, Mode, Track
 from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS
 
@@ -20,12 +20,6 @@ QUARTER = 2 * INTERVALS
 PATHS = ("body.position", "body.velocity", "feet.position", "feet.velocity")
 LEGS = ("leg_force", "set_point", "set_point_velocity")
 ARRAYS = ("command", "time", "mode", "control", *PATHS, *LEGS)
-
-
-def vertical_force(gait):
-    """Sum over both feet of the vertical ground reaction (n,) [N]."""
-    leg = gait.body.position[:, None] - gait.feet.position
-    return np.sum(gait.leg_force * leg[:, :, 2] / np.linalg.norm(leg, axis=2), axis=1)
 
 
 def simpson(gait, values, mode):
@@ -63,15 +57,6 @@ def test_stance_force_has_two_humps(gaits, index):
     assert np.sum((slope[:-1] > 0) & (slope[1:] < 0)) == 2
     middle = force[3 * QUARTER // 2 - QUARTER // 4 : 3 * QUARTER // 2 + QUARTER // 4].min()
     assert middle < 0.15 * force.max()
-
-
-@THREE_SPEEDS
-def test_vertical_impulse_carries_the_weight(gaits, index):
-    g = gaits[index]
-    force = vertical_force(g)
-    # the leg force is zero at lift-off, so a mode may end with the value of the next mode
-    impulse = sum(simpson(g, force, mode) for mode in range(4))
-    assert impulse == pytest.approx(g.parameters.weight * g.stride, rel=0.005)
 
 
 @THREE_SPEEDS
@@ -208,11 +193,9 @@ def test_certificate_fails_beyond_each_tolerance(gait, name, good, bad):
     assert not dataclasses.replace(gait.certificate, **{name: bad}).ok
 
 
-def test_certificate_survives_json(gait):
-    assert Certificate.from_json(gait.certificate.to_json()) == gait.certificate
-
-
-def test_ground_force_acts_along_the_legs_and_carries_the_weight(gait):
+@THREE_SPEEDS
+def test_ground_force_acts_along_the_legs_and_carries_the_weight(gaits, index):
+    gait = gaits[index]
     sample = gait.sample(np.arange(4000) / 4000)
     leg = sample.body.position[:, None] - sample.feet.position
     np.testing.assert_allclose(np.cross(sample.ground_force, leg), 0.0, atol=1e-9)

@@ -170,18 +170,6 @@ def test_the_initial_state_is_not_left_in_the_tensordict(make: MakeEnv) -> None:
         assert "initial" not in set(td.keys())
 
 
-def test_a_reset_mask_draws_new_values_for_its_rows(make: MakeEnv) -> None:
-    """TorchRL passes the old tensordict with a mask, so its values are stale."""
-    env = make(num_envs=2)
-    td = env.reset(_start(0.55, 0.1, 2))
-    td["_reset"] = torch.tensor([[False], [True]])
-    after = env.reset(td.clone())
-    for key in ("command", "phase"):
-        assert after[key][0] == td[key][0]
-        # no gait of the library has this speed
-        assert after[key][1] != td[key][1]
-
-
 @pytest.mark.parametrize("key", ["command", "phase"])
 def test_a_command_that_is_not_finite_is_refused(make: MakeEnv, key: str) -> None:
     env = make(num_envs=2)

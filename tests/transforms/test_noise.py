@@ -173,19 +173,6 @@ def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
 # ------------------------------------------------------------ orientation
 
 
-def test_errors_of_the_orientation_have_the_given_level() -> None:
-    """Angles have a Maxwell distribution: mean sqrt(8/pi) s, mean square 3 s^2.
-
-    Their standard deviations are sqrt(3 - 8/pi) s and sqrt(6) s^2 for one angle.
-    """
-    level, clean = 0.02, _clean(1000)
-    noise = _noise({"orientation": NoiseLevel(white=level)})
-    angle = _errors(_start(noise, clean), clean)["orientation"].norm(dim=-1) / level
-    root = math.sqrt(angle.numel())
-    assert abs(angle.mean() - math.sqrt(8 / math.pi)) < 5 * math.sqrt(3 - 8 / math.pi) / root
-    assert abs((angle**2).mean() - 3) < 5 * math.sqrt(6) / root
-
-
 @pytest.mark.parametrize("axis", range(3))
 def test_errors_of_the_orientation_are_in_the_pelvis_frame(axis: int) -> None:
     level = np.zeros(3)

@@ -79,12 +79,6 @@ def test_episodes_may_start_at_rest(make: MakeEnv, library: GaitLibrary) -> None
     assert (td["truth", "qvel"] == 0).all()
 
 
-def test_without_a_start_the_robot_stands(make: MakeEnv) -> None:
-    td = make(num_envs=2, drop=["start"]).reset()
-    assert td["truth", "pelvis_position"][:, 2] == pytest.approx(0.95)
-    assert (td["truth", "qvel"] == 0).all()
-
-
 def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
     """Resets are prepared from the last transform to the first."""
     order = [SpeedCommand(library), PhaseClock(library), ReferenceStart(library)]
@@ -95,10 +89,7 @@ def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
 
 @pytest.mark.parametrize(
     ("transform", "key"),
-    [
-        ("clock", "phase"),
-        ("last_action", "last_action"),
-    ],
+    [("clock", "phase"), ("last_action", "last_action")],
 )
 def test_dropping_a_needed_transform_names_the_missing_entry(
     make: MakeEnv, transform: str, key: str

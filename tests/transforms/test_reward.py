@@ -55,7 +55,7 @@ def test_terms_are_the_pure_functions_of_their_entries(make: MakeEnv) -> None:
 
 def test_terms_can_be_left_out(make: MakeEnv) -> None:
     name = "com_vel"
-    env = make(num_envs=2, drop=[name])
+    env = make(num_envs=2, drop=name)  # one name, not a list of letters
     data = _step(env)
     terms = data["next", "reward_terms"]
     assert set(terms.keys()) == set(TERMS) - {name}

@@ -20,7 +20,7 @@ from aslip.policy import read_card
 from benchmarks.directions import command_changes, figure_of_eight, stops, tracking
 from benchmarks.robustness import pushes, walking_quality
 from benchmarks.robustness.parameters import SWEEPS
-from benchmarks.scorecard import direction_targets, direction_values
+from benchmarks.scorecard import direction_values
 from benchmarks.scorecard.direction_list import TARGETS
 from benchmarks.scorecard.direction_targets import Config, benchmarks_of, cell, main
 from benchmarks.scorecard.direction_values import (
@@ -198,11 +198,6 @@ def test_a_record_keeps_values_and_is_of_one_library(
         with pytest.raises(ConfigurationError, match="leave out record, or"):
             main(config, policy, made)
     assert len(asked) == 2 * 7
-
-
-def test_drawn_targets_are_targets() -> None:
-    names = {claim.name for claim in TARGETS}
-    assert all(name in names for pair in direction_targets.PAIRS for name in pair)
 
 
 def test_a_library_of_slow_gaits_is_refused_before_any_walk(
