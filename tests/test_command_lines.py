@@ -67,17 +67,6 @@ def test_a_wrong_argument_is_named_with_a_hint_at_help(
     assert f"{program()} --help" in output
 
 
-def test_flags_override_the_given_defaults() -> None:
-    assert command_line(Flags, arguments=["--total-steps", "3"]) == Flags(total_steps=3)
-    assert command_line(Flags, Flags(clip=0.5), ["--total-steps", "3"]) == Flags(0.5, 3)
-
-
-def test_ctrl_c_has_its_usual_exit_status() -> None:
-    with pytest.raises(SystemExit) as info, one_line_errors():
-        raise KeyboardInterrupt
-    assert info.value.code == 128 + signal.SIGINT
-
-
 @pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
 def test_user_errors_are_one_line(kind: type[Exception]) -> None:
     with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():

@@ -23,7 +23,7 @@ from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
 from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from benchmarks.common import Common, Policies, Subject, table, write_results
+from benchmarks.common import Common, Policies, Subject, write_results
 from benchmarks.flags import check_numbers
 from benchmarks.paper import foot_placement, ground_force
 from benchmarks.robustness import pushes, walking_quality
@@ -125,12 +125,6 @@ def test_results_are_valid_json_with_nan(tmp_path: Path) -> None:
     write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
     text = (tmp_path / "mine.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail) == {"rows": [{"a": None, "b": [1.0, None]}]}
-
-
-def test_a_table_has_a_column_for_each_format_or_function() -> None:
-    columns = {"speed": "{speed:.1f}", "share": lambda row: f"{100 * row['share']:g} %"}
-    text = table(columns, [{"speed": 0.5, "share": 0.25}])
-    assert text == "| speed | share |\n| ---: | ---: |\n| 0.5 | 25 % |"
 
 
 def test_settings_are_checked_by_name() -> None:

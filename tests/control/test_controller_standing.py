@@ -24,7 +24,7 @@ from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from tests.control.helpers import compare_rollouts, small_actions
 from tests.library.bent import symmetric_library
-from tests.library.standing import slower_library, standing_files, standing_library
+from tests.library.standing import policy_files, slower_library, standing_library
 
 
 def _without_gaits(path: Path) -> Path:
@@ -117,7 +117,7 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
 
 
 def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) -> None:
-    _, path = standing_files(tmp_path)
+    _, path = policy_files(tmp_path, standing_library())
     assert policy_stack(path) == "directions"
     check_policy_fits(path, env)
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
@@ -129,7 +129,7 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
 def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> None:
     """Others are refused, also if only stop and start differ."""
     library = standing_library()
-    gaits, path = standing_files(tmp_path)
+    gaits, path = policy_files(tmp_path, standing_library())
     assert read_card(path)["library_sha256"] == library.sha256
     Controller(path, GaitLibrary.load(gaits))
     other = slower_library()

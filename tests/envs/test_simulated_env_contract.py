@@ -204,8 +204,6 @@ def test_policy_walks_with_half_as_many_physics_steps(make: MakeEnv) -> None:
     (result,) = evaluate(aslip.load_policy("straight"), env, [1.0], num_steps=100)
     assert result.survived
     assert result.mean_speed == pytest.approx(1.0, abs=0.06)
-    with pytest.raises(ConfigurationError, match=r"0\.0005, 0\.001.*0\.002"):
-        make(timestep=0.002)
     with pytest.raises(ConfigurationError, match=r"dm_control.*0\.0005 s, got 0\.001"):
         make("dm_control", timestep=physics_timesteps()[1])
 

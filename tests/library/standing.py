@@ -30,10 +30,12 @@ def slower_library() -> GaitLibrary:
     return GaitLibrary(library.motions, library.table, transitions=slower)
 
 
-def standing_files(folder: Path) -> tuple[Path, Path]:
-    """Library, and untrained policy that stands, in a folder."""
-    standing_library().save(folder / "gaits.npz")
-    env = aslip.make_env(stack="directions", library=standing_library(), num_threads=1, seed=0)
+def policy_files(
+    folder: Path, library: GaitLibrary, stack: str = "directions"
+) -> tuple[Path, Path]:
+    """Library, and untrained policy of a stack for all directions, in a folder."""
+    library.save(folder / "gaits.npz")
+    env = aslip.make_env(stack=stack, library=library, num_threads=1, seed=0)  # pyright: ignore
     interface, shape = policy_interface(env), PolicyShape(82)
     actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
     save_policy(folder / "policy.zip", actor, shape, **interface)

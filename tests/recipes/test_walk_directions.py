@@ -7,28 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import aslip
-from aslip.envs import shipped_library, walking_stack
+from aslip.envs import shipped_library
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, policy_interface, save_policy
 from aslip.walking import Walker
 from recipes import walk
 from recipes.walk import Config
 from tests.library.bent import symmetric_library
+from tests.library.standing import policy_files
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Library and untrained policy for all directions."""
-    folder = tmp_path_factory.mktemp("directions")
-    symmetric_library().save(folder / "gaits.npz")
-    env = aslip.make_env(stack=walking_stack(symmetric_library()), num_threads=1, seed=0)
-    shape, interface = PolicyShape(82), policy_interface(env)
-    actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
-    save_policy(folder / "policy.zip", actor, shape, **interface)
-    return folder / "gaits.npz", folder / "policy.zip"
+    return policy_files(tmp_path_factory.mktemp("directions"), symmetric_library(), "walking")
 
 
 def _settings(files: tuple[Path, Path], **settings: object) -> Config:

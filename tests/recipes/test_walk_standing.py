@@ -13,12 +13,12 @@ from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
 from recipes import walk
 from recipes.walk import Config
-from tests.library.standing import standing_files
+from tests.library.standing import policy_files, standing_library
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return standing_files(tmp_path_factory.mktemp("standing"))
+    return policy_files(tmp_path_factory.mktemp("standing"), standing_library())
 
 
 def _walk(files: tuple[Path, Path], command: str, duration: float, log: Path | None = None) -> None:

@@ -33,9 +33,9 @@ class Circling:
         )
 
 
-@pytest.fixture(scope="module", params=[Circling])
-def motion(request):
-    return request.param()
+@pytest.fixture(scope="module")
+def motion():
+    return Circling()
 
 
 @pytest.fixture(scope="module")

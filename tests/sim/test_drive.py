@@ -13,19 +13,6 @@ ZERO = np.zeros(10)
 NO_LOAD = CASSIE.no_load_speed / CASSIE.gear  # at the joint [rad/s]
 
 
-def test_small_errors_give_proportional_torque() -> None:
-    """0.1 rad at hip roll: 100 N m/rad x 0.1 rad / 25 = 0.4 N m at the motor."""
-    torque = motor_torque(np.full(10, 0.1), ZERO, ZERO)
-    expected = [0.4, 0.4, 0.55, 0.6, 0.1] * 2
-    np.testing.assert_allclose(torque, expected, rtol=1e-12)
-
-
-def test_velocity_is_damped_towards_zero() -> None:
-    """1 rad/s at the knee: -9.6 N m / 16 = -0.6 N m at the motor."""
-    torque = motor_torque(ZERO, ZERO, np.ones(10))
-    np.testing.assert_allclose(torque, [-0.4, -0.4, -0.5, -0.6, -0.1] * 2, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("speed", "share"), [(0.0, 1.0), (0.5, 1.0), (0.6, 0.8), (0.9, 0.2), (1.0, 0.0), (1.3, 0)]
 )

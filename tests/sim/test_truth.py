@@ -9,15 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.robot.rotation import rotate_inverse, upper_hemisphere
+from aslip.robot.rotation import quaternion_to_matrix, rotate_inverse, upper_hemisphere
 from aslip.sim import Simulations, Snapshot, true_state
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    matrices = np.zeros((len(quaternions), 9))
-    for matrix, quaternion in zip(matrices, quaternions, strict=True):
-        mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrices
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +48,7 @@ def test_truth_names_the_parts_of_the_state(simulations: Simulations) -> None:
     for side in ("left", "right"):
         site = data.site(f"{side}_foot")
         np.testing.assert_array_equal(truth[f"{side}_foot_position"][1], site.xpos)
-        rotation = _matrices(truth[f"{side}_foot_orientation"][1:])[0]
+        rotation = quaternion_to_matrix(truth[f"{side}_foot_orientation"][1]).ravel()
         np.testing.assert_allclose(rotation, site.xmat, atol=1e-14)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site.id, velocity, 0)
         np.testing.assert_allclose(truth[f"{side}_foot_velocity"][1], velocity[3:], atol=1e-12)

@@ -15,7 +15,6 @@ from aslip.training import loop
 from aslip.training import run as run_module
 from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
-from aslip.training.run import TrainingRun
 from tests.training.run_folder import (
     Settings,
     constant_network,
@@ -107,20 +106,6 @@ def test_the_card_of_a_resumed_run_has_the_command_that_started_it(
     monkeypatch.setattr("sys.argv", ["recipe.py", "--resume"])
     for _ in range(2):
         assert open_run(settings, resume=True).about(Progress(10, 1))["command"] == first
-
-
-def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> None:
-    """Long texts are shown from their first difference on."""
-    texts = {f"part {i}": f"{'same ' * 30}{i} here {'and so on ' * 30}" for i in range(9)}
-    TrainingRun(settings.out, settings, resume=False, transforms=texts)
-    others = {name: text.replace("here", "there") for name, text in texts.items()}
-    with pytest.raises(ConfigurationError) as info:
-        TrainingRun(settings.out, settings, resume=True, transforms=others)
-    message = str(info.value)
-    assert "same 0 here and so on" in message
-    assert "same 0 there and so on" in message
-    assert "part 4" not in message
-    assert len(message) < 1000
 
 
 def test_pytorch_has_no_more_threads_than_a_container_has_processors(

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
-from benchmarks.common import Subject, table
+from benchmarks.common import Subject
 from benchmarks.robustness import sweeps
 from benchmarks.robustness.parameters import SWEEPS, Sweeps
 from benchmarks.robustness.sweeps import (
-    COLUMNS,
     SweepResult,
     measure_sweeps,
     sweep_rows,
@@ -65,15 +64,6 @@ def test_sweep_rows_have_intervals_over_walks_or_policies_and_the_commands_of_fa
     assert [(row["mean"], row["trials"]) for row in rows] == [(0.75, 4), (0.25, 4)]
     half = 12.706 * 0.25  # Student's interval of 1 and 0.5
     assert (rows[0]["low"], rows[0]["high"]) == pytest.approx((0.75 - half, 0.75 + half), 1e-3)
-
-
-def test_sweep_table_shows_four_commands_of_falls() -> None:
-    falls = [[0.5 * i, 0.0, 0.1] for i in range(6)]
-    row = {"parameter": "payload", "value": 4.0, "mean": 0.0, "low": 0.0, "high": 0.0}
-    lines = table(COLUMNS, [{**row, "falls": falls}, {**row, "falls": [[1.0]]}]).splitlines()
-    assert lines[-2].endswith("| (0.00, 0.00, 0.10), (0.50, 0.00, 0.10), (1.00, 0.00, 0.10),"
-                              " (1.50, 0.00, 0.10), 2 more |")  # fmt: skip
-    assert lines[-1].endswith("| 1.00 |")
 
 
 def test_commands_and_phases_of_a_sweep_are_random(monkeypatch: pytest.MonkeyPatch) -> None:
