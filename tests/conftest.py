@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 import torch
 
@@ -61,6 +62,12 @@ def seeded() -> None:
 def library() -> GaitLibrary:
     """The library that ships with the package."""
     return GaitLibrary.load()
+
+
+@pytest.fixture(scope="session")
+def model() -> mujoco.MjModel:
+    """The robot's model, which no test changes."""
+    return load_model()
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
-from aslip.envs import STACKS, StackEnv
+from aslip.envs import STACKS, BatchEnv, DmControlEnv, SimulatedEnv, StackEnv
 from aslip.robot import CASSIE
 from aslip.sim import PD
 from aslip.transforms import SeededTransform
@@ -31,6 +31,23 @@ TINY = Config(
     eval_steps=5,
 )  # fmt: skip
 """Settings of a training of two updates."""
+
+
+BACKENDS = ("batch", "dm_control")
+STANDING = torch.tensor(CASSIE.standing)
+"""Configuration (35,) of a robot that stands."""
+
+
+def bare_env(backend: str, num_envs: int = 2) -> SimulatedEnv:
+    """Environment without a stack."""
+    if backend == "batch":
+        return BatchEnv(num_envs, num_threads=1)
+    return DmControlEnv(num_envs)
+
+
+def standing_targets(env: SimulatedEnv) -> torch.Tensor:
+    """Motor targets (n, 10) of standing."""
+    return STANDING[env.indices.motor_qpos.copy()].float().expand(env.num_envs, 10).clone()
 
 
 def seeded(transform: SeededTransform) -> Any:

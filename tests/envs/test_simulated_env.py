@@ -11,8 +11,7 @@ from tensordict import TensorDict
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE
-from tests.envs.test_simulated_env_contract import BACKENDS, STANDING, bare_env, standing_targets
-from tests.helpers import MakeEnv
+from tests.helpers import BACKENDS, STANDING, MakeEnv, bare_env, standing_targets
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -11,26 +11,20 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE
-from aslip.robot.model import load_model, physics_timesteps
+from aslip.robot.model import physics_timesteps
 from aslip.transforms import Fall
 from aslip.walking import evaluate
-from tests.helpers import MakeEnv, differing, leaves
-
-BACKENDS = ("batch", "dm_control")
-STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
-
-
-def bare_env(backend: str, num_envs: int = 2) -> SimulatedEnv:
-    if backend == "batch":
-        return BatchEnv(num_envs, num_threads=1)
-    return DmControlEnv(num_envs)
-
-
-def standing_targets(env: SimulatedEnv) -> torch.Tensor:
-    return STANDING[env.indices.motor_qpos.copy()].float().expand(env.num_envs, 10).clone()
+from tests.helpers import (
+    BACKENDS,
+    STANDING,
+    MakeEnv,
+    bare_env,
+    differing,
+    leaves,
+    standing_targets,
+)  # fmt: skip
 
 
 class RandomActions:

@@ -10,11 +10,7 @@ from tensordict import TensorDict
 
 from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.robot.model import load_model
-from tests.helpers import MakeEnv
-
-BACKENDS = ("batch", "dm_control")
-STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
+from tests.helpers import BACKENDS, STANDING, MakeEnv
 
 
 def _start(height: float = 1.347) -> TensorDict:

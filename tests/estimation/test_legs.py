@@ -13,13 +13,7 @@ import torch
 from aslip import GaitLibrary
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.robot import CASSIE, SIDES
-from aslip.robot.model import load_model
 from aslip.sim import Simulations
-
-
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
 
 
 @pytest.fixture(scope="module")

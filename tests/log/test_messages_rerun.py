@@ -13,7 +13,6 @@ from tensordict import TensorDict
 
 from aslip.base.assets import asset_path
 from aslip.log import Recording
-from aslip.log.messages import LOGGED_JOINTS
 from tests.log.helpers import CURVES
 
 Walk = tuple[Path, list[TensorDict]]
@@ -52,15 +51,6 @@ class RerunLog:
             if not is_static and component in batch.schema.names
         ]
 
-    def time(self, entity: str, component: str) -> np.ndarray:
-        """(m,) times of the rows of a component [s]."""
-        columns = [
-            batch.column("message_log_time").cast("int64").to_numpy()
-            for is_static, batch in self._batches[entity]
-            if not is_static and component in batch.schema.names
-        ]
-        return np.concatenate(columns) / 1e9
-
 
 @pytest.fixture(scope="module")
 def rerun_log(walk: Walk, chunk: ModuleType) -> RerunLog:
@@ -88,33 +78,6 @@ def test_rerun_draws_every_shape_of_the_robot(rerun_log: RerunLog, recording: Re
     shapes = {e for e in rerun_log.entities if e.startswith("/cassie/visual_geometries/")}
     assert len({e for e in shapes if "/visual_" in e}) == count
     assert rerun_log.column("/cassie", "CoordinateFrame:frame", static=True) == [["world"]]
-
-
-def test_rerun_reads_the_transform_of_every_link(rerun_log: RerunLog, recording: Recording) -> None:
-    ours = recording["/tf"]
-    frames = ours["transforms.child_frame_id"]
-    shape = (len(ours), frames.shape[1])
-    names = np.reshape(rerun_log.column("/tf", "Transform3D:child_frame"), shape)
-    np.testing.assert_array_equal(names, frames)
-    parents = rerun_log.column("/tf", "Transform3D:parent_frame")
-    assert parents == [["world"]] * frames.size
-    parts = ("translation", "translation", "xyz"), ("quaternion", "rotation", "xyzw")
-    for component, part, axes in parts:
-        theirs = np.reshape(rerun_log.column("/tf", f"Transform3D:{component}"), (*shape, -1))
-        values = np.stack([ours[f"transforms.transform.{part}.{axis}"] for axis in axes], axis=-1)
-        np.testing.assert_allclose(theirs, values, atol=1e-6)
-    times = rerun_log.time("/tf", "Transform3D:child_frame").reshape(shape)
-    np.testing.assert_array_equal(times, np.repeat(ours.time[:, None], shape[1], axis=1))
-
-
-def test_rerun_reads_names_and_states_of_joints(rerun_log: RerunLog, recording: Recording) -> None:
-    ours = recording["/joint_states"]
-    for field in ("position", "velocity", "effort"):
-        entity = f"/joint_states/{field}"
-        names = rerun_log.column(entity, "SeriesLines:names")
-        assert names == [list(LOGGED_JOINTS)] * len(ours)
-        np.testing.assert_array_equal(rerun_log.column(entity, "Scalars:scalars"), ours[field])
-        np.testing.assert_array_equal(rerun_log.time(entity, "Scalars:scalars"), ours.time)
 
 
 class Blueprint:

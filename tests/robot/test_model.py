@@ -19,11 +19,6 @@ from aslip.robot.model import load_model
 ROTOR_INERTIA = [6.1e-5, 6.1e-5, 3.65e-4, 3.65e-4, 4.9e-6] * 2
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
-
-
 def test_total_mass(model: mujoco.MjModel) -> None:
     assert model.body_mass.sum() == pytest.approx(33.312, abs=1e-9)
     assert model.body_mass.sum() == pytest.approx(CASSIE.total_mass, abs=1e-9)

@@ -13,11 +13,6 @@ ADDRESSES = {"body_geomadr", "body_geomnum", "sensor_refid", "dof_length"}
 
 
 @pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
-
-
-@pytest.fixture(scope="module")
 def bare() -> mujoco.MjModel:
     return load_model(visual=False)
 

@@ -22,11 +22,6 @@ from aslip.robot.skeleton import read_skeleton, write_skeleton
 PER_MOTOR = ("gear", "no_load_speed", "torque_limit", "damping", "stiffness")
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
-
-
 def test_both_legs_have_the_same_read_only_motors() -> None:
     for values in (getattr(CASSIE, name) for name in PER_MOTOR):
         assert values.shape == (10,)

@@ -21,11 +21,6 @@ SIZE: dict[str, Any] = {"width": 96, "height": 72}
 
 
 @pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
-
-
-@pytest.fixture(scope="module")
 def standing(model: mujoco.MjModel, pictures: None) -> np.ndarray:
     """(1, 35)."""
     return model.key("standing").qpos[None].copy()

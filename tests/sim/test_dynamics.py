@@ -13,12 +13,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
+from aslip.envs import DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
+from tests.helpers import BACKENDS, bare_env
 
-BACKENDS = ("batch", "dm_control")
 GRAVITY = 9.81
 # all parameters except the delay, each away from its default
 OTHER = {
@@ -31,12 +31,6 @@ OTHER = {
     "motor_strength": 0.91,
     "slope": 0.07,
 }
-
-
-def _base(backend: str, num_envs: int = 2) -> SimulatedEnv:
-    if backend == "batch":
-        return BatchEnv(num_envs, num_threads=1)
-    return DmControlEnv(num_envs)
 
 
 def _walk(env: SimulatedEnv, steps: int, seed: int = 0) -> np.ndarray:
@@ -79,7 +73,7 @@ def _by_hand(model: mujoco.MjModel) -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_dynamics_equal_a_model_changed_by_hand(backend: str) -> None:
     """Results are bit-equal, and the other robot has the default dynamics."""
-    env = _base(backend)
+    env = bare_env(backend)
     env.set_dynamics(OTHER, np.array([1]))
     env.reset()
     path = _walk(env, 12)
@@ -91,7 +85,7 @@ def test_dynamics_equal_a_model_changed_by_hand(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_nominal_values_restore_the_model(backend: str) -> None:
-    env, default = _base(backend, 1), _base(backend, 1)
+    env, default = bare_env(backend, 1), bare_env(backend, 1)
     nominal = {name: value[0] for name, value in default.dynamics.items()}
     env.set_dynamics(OTHER | {"torque_delay": 0.004})
     env.set_dynamics(nominal)
@@ -105,7 +99,7 @@ def test_nominal_values_restore_the_model(backend: str) -> None:
 
 def _airborne(slope: float) -> Any:
     """State after a policy step of a robot in the air."""
-    env = _base("batch", 1)
+    env = bare_env("batch", 1)
     qpos = torch.tensor(env.model.key("standing").qpos)[None]
     qpos[:, 2] = 5.0
     initial = TensorDict(qpos=qpos, qvel=torch.zeros(1, 32), batch_size=1)
@@ -144,7 +138,7 @@ def test_torques_act_after_the_delay(backend: str, steps: int) -> None:
     """A change of the target acts `steps` physics steps later."""
     torques = []
     for offset in (0.0, 0.2):
-        env = _base(backend, 1)
+        env = bare_env(backend, 1)
         env.watch(0)
         env.set_dynamics({"torque_delay": steps * CASSIE.physics_timestep})
         env.reset()
@@ -158,7 +152,7 @@ def test_torques_act_after_the_delay(backend: str, steps: int) -> None:
 
 def test_motor_strength_scales_the_delivered_torque() -> None:
     """The limit scales, too, as the first torques of a far target show."""
-    env = _base("batch", 2)
+    env = bare_env("batch", 2)
     env.set_dynamics({"motor_strength": 0.7, "torque_delay": 0.0}, np.array([1]))
     env.set_dynamics({"torque_delay": 0.0}, np.array([0]))
     env.reset()
@@ -178,7 +172,7 @@ def test_motor_strength_scales_the_delivered_torque() -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_longer_memory_of_commands_does_not_affect_other_robots(backend: str) -> None:
     """One robot gets a longer delay during a walk."""
-    env, default = _base(backend), _base(backend)
+    env, default = bare_env(backend), bare_env(backend)
     for each in (env, default):
         each.reset()
         _walk(each, 3)
@@ -191,7 +185,7 @@ def test_longer_memory_of_commands_does_not_affect_other_robots(backend: str) ->
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_longer_memory_keeps_delayed_commands(backend: str) -> None:
     """The walk is the same if the memory was long from the start."""
-    early, late = _base(backend, 1), _base(backend, 1)
+    early, late = bare_env(backend, 1), bare_env(backend, 1)
     early.set_dynamics({"torque_delay": 0.02})
     early.set_dynamics({"torque_delay": 0.003})
     paths = []
@@ -209,7 +203,7 @@ def test_oldest_command_fills_a_longer_memory() -> None:
     """A delay beyond the memory applies the oldest command, then the later ones."""
     torques = []
     for delay in (0.004, 0.01):
-        env = _base("batch", 1)
+        env = bare_env("batch", 1)
         env.reset()
         _walk(env, 2)
         env.watch(0)
@@ -223,7 +217,7 @@ def test_oldest_command_fills_a_longer_memory() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_states_resume_among_robots_of_the_same_dynamics(backend: str) -> None:
-    env, other = _base(backend), _base(backend)
+    env, other = bare_env(backend), bare_env(backend)
     for each in (env, other):
         each.set_dynamics(OTHER | {"torque_delay": [0.001, 0.012]})
         each.reset()
@@ -237,7 +231,7 @@ def test_states_resume_among_robots_of_the_same_dynamics(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_values_out_of_limits_are_refused_and_change_nothing(backend: str) -> None:
-    env = _base(backend)
+    env = bare_env(backend)
     before = env.dynamics
     for values, message in (
         (
@@ -257,7 +251,7 @@ def test_values_out_of_limits_are_refused_and_change_nothing(backend: str) -> No
 
 
 def test_unknown_parameters_and_robots_are_named() -> None:
-    env = _base("batch")
+    env = bare_env("batch")
     with pytest.raises(UnknownNameError, match="did you mean 'floor_friction'"):
         env.set_dynamics({"floor_fricton": 1.0})
     with pytest.raises(ShapeError, match=r"mass.*\(2,\).*\(3,\)"):

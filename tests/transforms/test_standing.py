@@ -251,12 +251,6 @@ def test_robot_that_shall_stand_at_a_reset_starts_standing(
     assert td["truth", "pelvis_velocity"][0].abs().max() < 1e-6
 
 
-def test_drawn_stand_commands_have_their_share() -> None:
-    command = seeded(StandCommand(share=0.25))
-    drawn = command._drawn(TensorDict(batch_size=4000))["stand"]
-    assert drawn.mean().item() == pytest.approx(0.25, abs=0.03)
-
-
 def test_stand_commands_change_at_their_rate() -> None:
     command, robots, steps = seeded(StandCommand(share=1 / 3, interval=0.3)), 4000, 50
     td = TensorDict(stand=torch.zeros(robots, 1), batch_size=robots)

@@ -6,16 +6,10 @@ import pytest
 import torch
 
 from aslip.library.footholds import Footholds
-from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.live.robot import RobotView
 from aslip.show.live.scene import RomView, SceneView
 from aslip.walking import Walker
-
-
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_model()
 
 
 @pytest.fixture
