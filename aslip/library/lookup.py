@@ -17,7 +17,7 @@ from aslip.library.interpolation import (
     multilinear,
     sum_rows,
 )
-from aslip.library.low_rank import LowRankTable, column_widths
+from aslip.library.low_rank import LowRankTable, column_widths, flat
 from aslip.library.reference import COLUMNS
 from aslip.library.table import GaitTable
 
@@ -77,7 +77,7 @@ class TableLookup(nn.Module):
             [table.torque_jumps and name == "motor_torque" for name in COLUMNS], self.widths
         )
         names = (*COLUMNS, "qpos", "qvel")
-        columns = self.grid.fill(np.concatenate([_flat(getattr(table, n)) for n in names], axis=-1))
+        columns = self.grid.fill(np.concatenate([flat(getattr(table, n)) for n in names], axis=-1))
         parts = np.cumsum([len(jumps), table.qpos.shape[-1]])
         reference, qpos, qvel = np.split(columns, parts, axis=-1)
         self._reference = PeriodicTable(reference, jumps)
@@ -106,8 +106,3 @@ class TableLookup(nn.Module):
             configuration=self._qpos.values(),
             velocity=self._qvel.values(),
         )
-
-
-def _flat(values: np.ndarray) -> np.ndarray:
-    """(n, m, ...) values as (n, m, k)."""
-    return values.reshape(*values.shape[:2], -1)
