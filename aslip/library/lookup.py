@@ -15,6 +15,7 @@ from aslip.library.interpolation import (
     SplineTable,
     corner_weights,
     multilinear,
+    read_only_view,
     sum_rows,
 )
 from aslip.library.low_rank import LowRankTable, column_widths, flat
@@ -93,15 +94,13 @@ class TableLookup(nn.Module):
         self._coefficients: Tensor
         filled = torch.from_numpy(self.grid.fill(table.coefficients.copy()))
         self.register_buffer("_coefficients", filled, persistent=False)
-        coefficients = filled.numpy()[: len(table.strides)]
-        coefficients.setflags(write=False)
         self._reference, self._qpos, self._qvel = (
             SplineTable(controls)
             for controls in (table.reference, table.configuration, table.velocity)
         )
         return replace(
             table,
-            coefficients=coefficients,
+            coefficients=read_only_view(filled)[: len(table.strides)],
             reference=self._reference.values(),
             configuration=self._qpos.values(),
             velocity=self._qvel.values(),
