@@ -181,7 +181,7 @@ def _check_settings(config: Config, variant: str, seed: int) -> None:
     folder = _folder(config, variant, seed)
     if not (folder / SETTINGS_FILE).exists():
         return
-    kept, _ = read_settings(folder)
+    kept = read_settings(folder)[0]
     kept["schedule_steps"] = kept.get("schedule_steps") or kept.get("total_steps")
     wanted = _settings(variant, seed)
     wanted["schedule_steps"] = config.schedule_steps or config.total_steps
