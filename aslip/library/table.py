@@ -142,7 +142,7 @@ class GaitTable(CommandTable):
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
         self._check_grid()
-        motions, samples = np.count_nonzero(~self.missing), np.shape(self.qpos)[1:-1]
+        motions, samples = int((~self.missing).sum()), np.shape(self.qpos)[1:-1]
         shapes = {name: (motions, *samples, *row_shape(name, self.robot)) for name in ARRAYS[1:]}
         shapes["strides"] = (motions,)
         self._check_arrays(shapes, samples[0] if len(samples) == 1 else 0)
