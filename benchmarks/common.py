@@ -178,12 +178,10 @@ class Policies:
 def chosen_library(config: Common) -> GaitLibrary | None:
     """Library of the flag; None without one."""
     name = config.library if isinstance(config, WithLibrary) else None
-    return None if name is None else load_library(name)
-
-
-def load_library(path: str) -> GaitLibrary:
-    """Library by name or file, as `GaitLibrary.load`; a shipped one is read once."""
-    return shipped_library(path) if path in SHIPPED else GaitLibrary.load(path)
+    if name is None:
+        return None
+    # a shipped one is read once
+    return shipped_library(name) if name in SHIPPED else GaitLibrary.load(name)
 
 
 def policy_name(policy: Policy) -> str:

@@ -335,7 +335,8 @@ def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
     POLICY_FORMAT.write(target, {**entries, CARD: as_json(card)})
     curve.unlink(missing_ok=True)
     if (run / "learning_curve.png").exists():
-        _copy(run / "learning_curve.png", curve)
+        with replacing(curve) as file:
+            file.write((run / "learning_curve.png").read_bytes())
 
 
 def _move(policy: Path, library: str) -> None:
@@ -346,12 +347,6 @@ def _move(policy: Path, library: str) -> None:
         card["made_by"].setdefault("trained_on", card["library_sha256"])
     card["library_sha256"] = GaitLibrary.load(library).sha256
     POLICY_FORMAT.write(policy, {**entries, CARD: as_json(card)})
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Copy a file atomically."""
-    with replacing(target) as file:
-        file.write(source.read_bytes())
 
 
 if __name__ == "__main__":

@@ -103,15 +103,10 @@ def main(
     if config.physics_timestep != CASSIE.physics_timestep:
         make_train_env = partial(make_train_env, timestep=config.physics_timestep)
     env, speeds = make_evaluation_env(make_env, config.seed)
-    about = describe_environments(env, make_train_env)
     run = TrainingRun(
-        config.out,
-        config,
-        resume=config.resume,
-        transforms=about,
-        resume_hint=resume_hint,
-        logger=logger,
-    )
+        config.out, config, resume=config.resume, resume_hint=resume_hint, logger=logger,
+        transforms=describe_environments(env, make_train_env),
+    )  # fmt: skip
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
     make_collector = make_collector or collector_class(config, critic.in_keys)

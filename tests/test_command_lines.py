@@ -272,7 +272,8 @@ def test_repeated_events_are_one_line_a_second() -> None:
     lines, now = list[str](), [0.0]
     reports = Reports(lines.append, lambda: now[0])
     for _ in range(2560):
-        reports.add("refused", f"at {now[0]:.1f} s", 3)
+        for _ in range(3):
+            reports.add("refused", f"at {now[0]:.1f} s")
         reports.say()
         now[0] += 2**-10
     reports.add("client", "new")

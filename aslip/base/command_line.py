@@ -210,9 +210,9 @@ class Reports:
         self._waiting: dict[str, tuple[int, str]] = {}
         self._due: dict[str, float] = {}
 
-    def add(self, kind: str, text: str, count: int = 1) -> None:
-        """Add events of a kind; the text describes the newest one."""
-        self._waiting[kind] = self._waiting.get(kind, (0, ""))[0] + count, text
+    def add(self, kind: str, text: str) -> None:
+        """Add an event of a kind; the text describes it."""
+        self._waiting[kind] = self._waiting.get(kind, (0, ""))[0] + 1, text
 
     def say(self) -> None:
         """Say the lines that are due; to be called in each turn of a loop."""

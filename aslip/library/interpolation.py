@@ -146,9 +146,7 @@ class PeriodicTable(nn.Module):
 
     def values(self) -> np.ndarray:
         """(n, m, k) samples: a read-only view of the nodes."""
-        view = self.nodes.numpy()[:, :, 0]
-        view.setflags(write=False)
-        return view
+        return read_only_view(self.nodes)[:, :, 0]
 
     def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
         """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
@@ -180,9 +178,7 @@ class LocalTable(nn.Module):
 
     def values(self) -> np.ndarray:
         """(n, m, k) samples: a read-only view."""
-        view = self.samples.numpy()
-        view.setflags(write=False)
-        return view
+        return read_only_view(self.samples)
 
     def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
         """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
@@ -226,9 +222,7 @@ class SplineTable(nn.Module):
 
     def values(self) -> np.ndarray:
         """(m, r + 1, k) control points: a read-only view."""
-        view = self.controls.numpy()[1:-2]
-        view.setflags(write=False)
-        return view
+        return read_only_view(self.controls)[1:-2]
 
     def forward(self, phase: Tensor, coefficients: Tensor) -> Tensor:
         """Values (*b, k) of motions with coefficients (*b, r), at phases (*b, 1)."""
@@ -269,6 +263,13 @@ class OpenTable(nn.Module):
         first = motion * samples + left.long()
         before, after = (_nodes_at(self.nodes, first + step) for step in (0, 1))
         return _hermite(before, after, (position - left).unsqueeze(-1)).squeeze(-2)
+
+
+def read_only_view(buffer: Tensor) -> np.ndarray:
+    """Numbers of a buffer, as a read-only view."""
+    view = buffer.numpy()
+    view.setflags(write=False)
+    return view
 
 
 def corner_weights(weights: Sequence[Tensor]) -> Tensor:

@@ -15,9 +15,10 @@ from aslip.library.interpolation import (
     SplineTable,
     corner_weights,
     multilinear,
+    read_only_view,
     sum_rows,
 )
-from aslip.library.low_rank import LowRankTable, column_widths
+from aslip.library.low_rank import LowRankTable, column_widths, flat
 from aslip.library.reference import COLUMNS
 from aslip.library.table import GaitTable
 
@@ -77,7 +78,7 @@ class TableLookup(nn.Module):
             [table.torque_jumps and name == "motor_torque" for name in COLUMNS], self.widths
         )
         names = (*COLUMNS, "qpos", "qvel")
-        columns = self.grid.fill(np.concatenate([_flat(getattr(table, n)) for n in names], axis=-1))
+        columns = self.grid.fill(np.concatenate([flat(getattr(table, n)) for n in names], axis=-1))
         parts = np.cumsum([len(jumps), table.qpos.shape[-1]])
         reference, qpos, qvel = np.split(columns, parts, axis=-1)
         self._reference = PeriodicTable(reference, jumps)
@@ -93,21 +94,14 @@ class TableLookup(nn.Module):
         self._coefficients: Tensor
         filled = torch.from_numpy(self.grid.fill(table.coefficients.copy()))
         self.register_buffer("_coefficients", filled, persistent=False)
-        coefficients = filled.numpy()[: len(table.strides)]
-        coefficients.setflags(write=False)
         self._reference, self._qpos, self._qvel = (
             SplineTable(controls)
             for controls in (table.reference, table.configuration, table.velocity)
         )
         return replace(
             table,
-            coefficients=coefficients,
+            coefficients=read_only_view(filled)[: len(table.strides)],
             reference=self._reference.values(),
             configuration=self._qpos.values(),
             velocity=self._qvel.values(),
         )
-
-
-def _flat(values: np.ndarray) -> np.ndarray:
-    """(n, m, ...) values as (n, m, k)."""
-    return values.reshape(*values.shape[:2], -1)

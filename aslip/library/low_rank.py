@@ -8,18 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.library.interpolation import spline_controls, spline_samples
 from aslip.library.reference import COLUMNS
-from aslip.library.table import (
-    ARRAYS,
-    FEWEST_SAMPLES,
-    CommandTable,
-    GaitTable,
-    hash_arrays,
-    read_only,
-    row_shape,
-)
+from aslip.library.table import ARRAYS, CommandTable, GaitTable, row_shape
 from aslip.robot import CASSIE, Robot
 
 _ROUNDING = 1e-12  # squared size of a component without meaning, relative to the largest
@@ -67,8 +59,6 @@ class LowRankTable(CommandTable):
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
         self._check_grid()
-        for name in LOW_RANK_ARRAYS:
-            object.__setattr__(self, name, read_only(getattr(self, name)))
         motions, robot = int((~self.missing).sum()), self.robot.indices
         inner = (len(self.reference), self.coefficients.shape[-1] + 1)
         shapes = {
@@ -78,17 +68,7 @@ class LowRankTable(CommandTable):
             "configuration": (*inner, robot.num_qpos),
             "velocity": (*inner, robot.num_qvel),
         }
-        for name, shape in shapes.items():
-            array = getattr(self, name)
-            if array.shape != shape or inner[0] < FEWEST_SAMPLES:
-                raise ShapeError(
-                    f"{name} must have shape {shape} with {FEWEST_SAMPLES} or more samples of a"
-                    f" stride, got {array.shape}"
-                )
-            if not np.isfinite(array).all():
-                raise ConfigurationError(f"{name} has non-finite entries")
-        if not (self.strides > 0).all():
-            raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
+        self._check_arrays(shapes, inner[0])
 
     @classmethod
     def of(cls, table: GaitTable | LowRankTable, rank: int) -> LowRankTable:
@@ -107,7 +87,8 @@ class LowRankTable(CommandTable):
             raise ConfigurationError("a table whose torques jump cannot be reduced to components")
         if not 1 <= rank <= motions:
             raise ConfigurationError(f"rank must be from 1 to {motions} motions, got {rank}")
-        columns = np.concatenate([_flat(getattr(table, name)) for name in COLUMNS], axis=-1)
+        columns = np.concatenate([flat(getattr(table, name)) for name in COLUMNS], axis=-1)
+        columns = columns.astype(np.float64)
         extent = np.ptp(columns, axis=(0, 1))
         scaled = (columns - columns.mean(axis=0)) / np.where(extent > 0, extent, 1.0)
         matrix = scaled.reshape(motions, -1)
@@ -128,8 +109,8 @@ class LowRankTable(CommandTable):
             strides=table.strides,
             coefficients=coefficients.astype(precision),
             reference=controls(columns),
-            configuration=controls(_flat(table.qpos)),
-            velocity=controls(_flat(table.qvel)),
+            configuration=controls(flat(table.qpos).astype(np.float64)),
+            velocity=controls(flat(table.qvel).astype(np.float64)),
             robot=table.robot,
             present=table.present,
         )
@@ -159,11 +140,7 @@ class LowRankTable(CommandTable):
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of all arrays, as hexadecimal digits."""
-        arrays = {
-            **{name: getattr(self, name) for name in LOW_RANK_ARRAYS},
-            "missing": self.missing,
-        }
-        return hash_arrays(arrays | {f"axis{i}": axis for i, axis in enumerate(self.axes)})
+        return self._hash(LOW_RANK_ARRAYS)
 
 
 def column_widths(robot: Robot) -> list[int]:
@@ -171,6 +148,6 @@ def column_widths(robot: Robot) -> list[int]:
     return [int(np.prod(row_shape(name, robot))) for name in COLUMNS]
 
 
-def _flat(values: np.ndarray) -> np.ndarray:
-    """(n, m, ...) values as (n, m, k), in double precision."""
-    return values.reshape(*values.shape[:2], -1).astype(np.float64)
+def flat(values: np.ndarray) -> np.ndarray:
+    """(n, m, ...) values as (n, m, k)."""
+    return values.reshape(*values.shape[:2], -1)

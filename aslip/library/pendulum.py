@@ -41,17 +41,15 @@ def pendulum_library(
 def single_reference_library(
     walk: PendulumWalk | None = None,
     *,
-    top_speed: float = PAPER_SPEEDS[-1],
     samples: int = PHASE_SAMPLES,
 ) -> GaitLibrary:
     """Library of one walk: the command scales the forward motion of the pelvis only.
 
     Joint angles are those of the walk at every speed (Xie et al. 2018). The table has two rows, at
-    rest and at the top speed; between them everything is linear in speed.
+    rest and at the largest speed of the paper; between them everything is linear in speed.
 
     Args:
         walk: reference motion, `SINGLE_REFERENCE_WALK` by default.
-        top_speed: largest speed of the library [m/s].
         samples: samples of a stride.
 
     Raises:
@@ -63,7 +61,7 @@ def single_reference_library(
         raise ConfigurationError(
             f"the forward speed of the walk must be positive, got {walk.speed} m/s"
         )
-    speeds = np.array([0.0, top_speed])
+    speeds = np.array([0.0, PAPER_SPEEDS[-1]])
     one = GaitLibrary.from_motions([walk], samples=samples, torque_jumps=True)
     assert isinstance(one.table, GaitTable)  # not of low rank
     walks = [StretchedWalk(walk, float(speed)) for speed in speeds]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -24,6 +24,7 @@ class CommandTable:
     """Grid of commands of a table, a convex part of which has motions."""
 
     axes: tuple[np.ndarray, ...]
+    strides: np.ndarray
     present: np.ndarray | None
 
     @property
@@ -65,6 +66,26 @@ class CommandTable:
             raise ConfigurationError("a table needs a motion at one command or more, got none")
         present.setflags(write=False)
         object.__setattr__(self, "present", None if present.all() else present)
+
+    def _check_arrays(self, shapes: Mapping[str, tuple[int, ...]], samples: int) -> None:
+        """Make arrays of given shapes read-only, and check them and the number of samples."""
+        for name, shape in shapes.items():
+            array = read_only(getattr(self, name))
+            object.__setattr__(self, name, array)
+            if array.shape != shape or samples < FEWEST_SAMPLES:
+                raise ShapeError(
+                    f"{name} must have shape {shape} with {FEWEST_SAMPLES} or more samples of a"
+                    f" stride, got {array.shape}"
+                )
+            if not np.isfinite(array).all():
+                raise ConfigurationError(f"{name} has non-finite entries")
+        if not (self.strides > 0).all():
+            raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
+
+    def _hash(self, names: Sequence[str], start: str = "") -> str:
+        """SHA-256 of arrays, mask and axes, see `hash_arrays`."""
+        arrays = {**{name: getattr(self, name) for name in names}, "missing": self.missing}
+        return hash_arrays(arrays | {f"axis{i}": axis for i, axis in enumerate(self.axes)}, start)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +142,10 @@ class GaitTable(CommandTable):
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
         self._check_grid()
-        for name in ARRAYS:
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-        for name in ARRAYS:
-            self._check(name)
-        if not (self.strides > 0).all():
-            raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
+        motions, samples = int((~self.missing).sum()), np.shape(self.qpos)[1:-1]
+        shapes = {name: (motions, *samples, *row_shape(name, self.robot)) for name in ARRAYS[1:]}
+        shapes["strides"] = (motions,)
+        self._check_arrays(shapes, samples[0] if len(samples) == 1 else 0)
 
     @property
     def samples(self) -> int:
@@ -136,22 +155,7 @@ class GaitTable(CommandTable):
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of all arrays, as hexadecimal digits."""
-        arrays = {**{name: getattr(self, name) for name in ARRAYS}, "missing": self.missing}
-        arrays |= {f"axis{i}": axis for i, axis in enumerate(self.axes)}
-        return hash_arrays(arrays, f"{self.torque_jumps}")
-
-    def _check(self, name: str) -> None:
-        array, samples = getattr(self, name), self.qpos.shape[1:-1]
-        inner = () if name == "strides" else (*samples, *row_shape(name, self.robot))
-        motions = np.count_nonzero(~self.missing)
-        enough = len(samples) == 1 and samples[0] >= FEWEST_SAMPLES
-        if array.shape != (motions, *inner) or not enough:
-            raise ShapeError(
-                f"{name} must have shape {(motions, *inner)} with {FEWEST_SAMPLES} or more"
-                f" samples of a stride, got {array.shape}"
-            )
-        if not np.isfinite(array).all():
-            raise ConfigurationError(f"{name} has non-finite entries")
+        return self._hash(ARRAYS, f"{self.torque_jumps}")
 
 
 _SETTINGS = ("axes", "torque_jumps", "robot", "present")

@@ -297,15 +297,12 @@ def report(runs: Sequence[Run]) -> str:
         values = np.array([_numbers(run) for run in group])
         for run, row in zip(group, values, strict=True):
             cells = map(_cell, row[:, None], most)
-            lines.append([variant, str(run.seed), _short(run.commit), *cells])
+            # a plus marks uncommitted changes
+            commit = run.commit[:7] + "+" * run.commit.endswith("+")
+            lines.append([variant, str(run.seed), commit, *cells])
         if len(group) > 1:
             lines.append([variant, f"{len(group)} seeds", "", *map(_cell, values.T, most)])
     return markdown(header, lines)
-
-
-def _short(commit: str) -> str:
-    """First seven digits, and a plus for uncommitted changes."""
-    return commit[:7] + "+" * commit.endswith("+")
 
 
 def _numbers(run: Run) -> list[float]:

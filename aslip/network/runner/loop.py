@@ -104,13 +104,9 @@ class Run:
         self._walk_began = float("inf")
         self._newest: tuple[int, Arrival] | None = None
         self._request, self._reading = Request(), None
-        self._command = MotorCommand(*np.zeros((5, len(CASSIE.motor_names))))
-        self._next_line = 1.0
-
-    @property
-    def command(self) -> MotorCommand:
+        self.command = MotorCommand(*np.zeros((5, len(CASSIE.motor_names))))
         """Command of the last policy step."""
-        return self._command
+        self._next_line = 1.0
 
     def take(self, time_ns: int, arrivals: list[Arrival]) -> None:
         """Take the packets that were read at a time [ns], oldest first."""
@@ -133,12 +129,12 @@ class Run:
         if self.interrupted:
             request = request._replace(damp=self.interrupted)
         self._request, self._reading = request, self.readings.newest()
-        self._command = self.supervisor.tick(now, self._reading, request)
+        self.command = self.supervisor.tick(now, self._reading, request)
         if self.supervisor.stage is not before:
             self._enter(time_ns)
         if self.supervisor.stage in (Stage.WALK, Stage.STOP):
             self.walked += CASSIE.policy_period
-        return self._command
+        return self.command
 
     def finish_tick(self, time_ns: int, lateness: float, reply: float) -> None:
         """Log and print a policy step after its command was sent.
@@ -156,7 +152,7 @@ class Run:
                 time_ns,
                 self._request,
                 self.supervisor.stage,
-                self._command,
+                self.command,
                 self._reading,
                 (lateness, reply),
             )

@@ -116,7 +116,7 @@ def sensors_to_cassie_out(
     drives[..., 2, :] = CASSIE.gear
     _DRIVES.write(out, drives.reshape(*out.shape, -1))
     for group, flag in ((out["pelvis"]["vector_nav"], "data_good"), (out, "is_calibrated")):
-        _write(group, flag, True)
+        group[flag][...] = True
     _release_stop(out["pelvis"]["radio"], "receiver_signal_good", "medulla_signal_good")
     return out
 
@@ -173,9 +173,9 @@ def estimate_to_state_out(
     entries = [_entry(estimate, name, size) for name, size in _STATE_SIZES.items()]
     _ESTIMATE.write(out, np.concatenate(entries, axis=-1))
     out["pelvis"]["position"][..., 2] = height[..., 0]
-    _write(out["motor"], "torque", motor_torque)
+    out["motor"]["torque"][...] = motor_torque
     for side in SIDES:
-        _write(out[f"{side}_foot"], "orientation", _IDENTITY)
+        out[f"{side}_foot"]["orientation"][...] = _IDENTITY
     if position is not None:
         out["pelvis"]["position"][..., :2] = np.asarray(position)[..., :2]
     if feet is not None:
@@ -185,7 +185,7 @@ def estimate_to_state_out(
         turn = _entry(estimate, "orientation", 4)[..., None, :]
         places = rotate_inverse(turn, relative)
         for i, side in enumerate(SIDES):
-            _write(out[f"{side}_foot"], "position", places[..., i, :])
+            out[f"{side}_foot"]["position"][...] = places[..., i, :]
     _release_stop(out["radio"], "signal_good")
     return out
 
@@ -259,18 +259,13 @@ def torque_to_user_in(torque: ArrayLike) -> np.ndarray:
     """
     torque = _vector("torque", torque, _MOTORS)
     out = USER_IN.zeros(*torque.shape[:-1])
-    _write(out, "torque", torque)
+    out["torque"][...] = torque
     return out
 
 
 def user_in_to_torque(records: np.ndarray) -> np.ndarray:
     """Read torques at the joints (*b, 10) [N m] out of `cassie_user_in_t`."""
     return records["torque"].copy()
-
-
-def _write(group: np.ndarray, field: str, values: ArrayLike) -> None:
-    """Write a field of records, rounded to single precision."""
-    group[field][...] = values
 
 
 def _release_stop(radio: np.ndarray, *flags: str) -> None:

@@ -7,7 +7,6 @@ import ipaddress
 import select
 import socket
 import time
-from types import TracebackType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -100,12 +99,7 @@ class Endpoint:
     def __enter__(self) -> Endpoint:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
