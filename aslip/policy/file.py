@@ -250,9 +250,11 @@ def policy_stack(name_or_path: str | Path) -> str:
     """
     card = read_card(name_or_path)
     if card["stack"] is None:
+        why = f"its action is added to {card['baseline']!r}, or its reference is another motion"
+        if card["observation"] not in _known_observations():
+            why = _nearest_difference(card["observation"])
         raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} was trained with an unnamed stack: it observes"
-            f" {card['observation']}, and its action is added to {card['baseline']!r}; give an"
+            f"the policy {str(name_or_path)!r} was trained with an unnamed stack: {why}; give an"
             " environment with the same edits"
         )
     return card["stack"]

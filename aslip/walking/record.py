@@ -32,14 +32,14 @@ from aslip.transforms import RandomCommand, StandCommand
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
-# group with the robot's position
-_ODOMETRY: Final = "true_odometry"
+_FORCE: Final[NestedKey] = ("next", "truth", "ground_force")
+# groups with the robot's position: simulated truth, or the estimator's odometry
+_PLACES: Final = ("true_odometry", "odometry")
 # array of `Walks` -> entry of a policy step, for the other arrays
 _RECORDED: Final[dict[str, NestedKey]] = {
     "phase": ("next", "phase"),
     "reward": ("next", "reward"),
     "action": "action",
-    "ground_force": ("next", "truth", "ground_force"),
     "body_position": ("next", "reference", "body_position"),
     "body_velocity": ("next", "reference", "body_velocity"),
 }
@@ -51,7 +51,8 @@ class Walks:
 
     Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
     velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`, which moves
-    along the path in stacks with several axes of commands.
+    along the path in stacks with several axes of commands. Without a simulation, pelvis and feet
+    come from the state estimator, and ground forces are NaN.
     """
 
     command: np.ndarray
@@ -309,20 +310,21 @@ def record_walks(
 
     Raises:
         ShapeError: `command` or `stand` is not for n robots, or has no policy step.
-        ConfigurationError: a command is not finite, the environment has no true odometry, or a
-            robot is to stand and cannot.
+        ConfigurationError: a command is not finite, the environment has no odometry, true or
+            estimated, or a robot is to stand and cannot.
     """
     command = checked_commands(env, command, (env.num_envs,))
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
-    if _ODOMETRY not in env.observation_spec:
+    place = next((name for name in _PLACES if name in env.observation_spec), None)
+    if place is None:
         raise ConfigurationError(
-            f"walks need to know where robots are: the stack must have a `HeadingFrame`, which"
-            f" writes {_ODOMETRY!r}"
+            "walks need to know where robots are: the stack must have a `HeadingFrame`, which"
+            " writes 'true_odometry', or an `EstimatedState`, which writes 'odometry'"
         )
-    keys: list[NestedKey] = [("next", name) for name in ("terminated", "heading", _ODOMETRY)]
-    keys += [*_RECORDED.values(), *(("next", "reference", foot) for foot in _FEET)]
-    return _as_walks(record(policy, env, command, keys, stand=stand), command)
+    keys: list[NestedKey] = [("next", name) for name in ("terminated", "heading", place)]
+    keys += [_FORCE, *_RECORDED.values(), *(("next", "reference", foot) for foot in _FEET)]
+    return _as_walks(record(policy, env, command, keys, stand=stand), place, command)
 
 
 def checked_commands(env: StackEnv, command: np.ndarray, robots: tuple[int, ...]) -> np.ndarray:
@@ -367,14 +369,15 @@ def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
     return np.concatenate([displacement, yaw], axis=-1)
 
 
-def _as_walks(rows: TensorDict, command: np.ndarray) -> Walks:
+def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
     """Arrays of (m, n) policy steps; NaN from the step of a fall on."""
     fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
     alive = ~np.logical_or.accumulate(fell.numpy(), axis=0)
-    places = cast("TensorDict", rows["next", _ODOMETRY])
+    places = cast("TensorDict", rows["next", place])
     values = {name: cast("torch.Tensor", rows[key]) for name, key in _RECORDED.items()}
     values |= {name: places[name] for name in _PELVIS}
-    for name, group in (("foot_position", _ODOMETRY), ("body_to_foot", "reference")):
+    values["ground_force"] = rows.get(_FORCE, torch.full((*fell.shape, 2, 3), torch.nan))
+    for name, group in (("foot_position", place), ("body_to_foot", "reference")):
         values[name] = torch.stack([rows["next", group, foot] for foot in _FEET], dim=2)
     for name in ("phase", "reward"):
         values[name] = values[name][..., 0]

@@ -115,12 +115,12 @@ def test_benchmarks_name_the_difference_to_a_policys_stack(
         "order": (
             {"replace": {"observation": AssembleObservation(reverse)}},
             64,
-            r"observes \['reference/right_foot_velocity'",
+            r"another order, \['reference/right_foot_velocity'",
         ),
         "fewer": (
             {"replace": {"observation": AssembleObservation(fewer)}},
             61,
-            r"'reference/right_foot_position'\]",
+            r"lacks \['reference/right_foot_velocity'\]",
         ),
         "baseline": ({"replace": {"action": other_key}}, 64, "to 'reference/motor_velocity'"),
         "action": (
