@@ -154,7 +154,7 @@ def draw(stride: Stride, config: Config) -> Figure:
         (rows[0], pictures[:count], "reduced-order model"),
         (rows[1], pictures[count:], "robot"),
     ):
-        axes.imshow(np.hstack(frames), interpolation="antialiased")
+        axes.imshow(np.hstack(list(frames)), interpolation="antialiased")
         for i in range(1, count):
             axes.axvline(i * config.width - 0.5, color="white", lw=2)
         axes.set_ylabel(name, fontsize=14)

@@ -12,4 +12,4 @@ def test_only_the_default_stack_feeds_forces_forward(tmp_path: Path) -> None:
     found = {row["stack"]: row["correlation"] for row in open_loop_force.main(config)}
     assert found["straight"] > 0.8
     assert abs(found["paper"]) < 0.4
-    assert "| default | 1 |" in (tmp_path / "open_loop_force.md").read_text()
+    assert "| straight | 1 |" in (tmp_path / "open_loop_force.md").read_text()
