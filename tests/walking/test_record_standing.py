@@ -26,6 +26,7 @@ def library() -> GaitLibrary:
 def make(library: GaitLibrary, num_envs: int = 1, **settings: object) -> StackEnv:
     return aslip.make_env(
         stack="directions", library=library, num_envs=num_envs, num_threads=1, drop=EPISODE_ENDS,
+        seed=0,
         **settings,  # pyright: ignore[reportArgumentType]
     )  # fmt: skip
 
