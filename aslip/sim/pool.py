@@ -19,7 +19,7 @@ import numpy as np
 
 from aslip.base.checks import check_count, check_ids, check_states
 from aslip.base.processes import processors
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
 from aslip.sim.drive import PD, MakeDrive
@@ -101,16 +101,20 @@ class SimulationPool:
         Raises:
             ConfigurationError: a simulation does not exist, or this process was forked; nothing is
                 reset.
-            ShapeError: an array has the wrong shape.
+            ShapeError: an array has the wrong shape; nothing is reset.
         """
         self._check_process()
         ids = check_ids(ids, self.num)
+        _check_shapes(
+            {"qpos": (qpos, (len(ids), self.model.nq)), "qvel": (qvel, (len(ids), self.model.nv))}
+        )
         for part, rows, own_ids in self._owners(ids):
             initial = (None if value is None else value[rows] for value in (qpos, qvel))
             part.reset(own_ids, *initial)
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         """Change fields of some simulations' models; see `Simulations.write_fields`."""
+        ids = check_ids(ids, self.num)
         for part, rows, own_ids in self._owners(ids):
             part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
 
@@ -154,9 +158,15 @@ class SimulationPool:
 
         Raises:
             ConfigurationError: this process was forked after the first step.
-            ShapeError: `motor_target` or `push` has the wrong shape.
+            ShapeError: `motor_target` or `push` has the wrong shape; no part is stepped.
         """
         self._check_process()
+        _check_shapes(
+            {
+                "motor_target": (motor_target, (self.num, self.command_size)),
+                "push": (push, (self.num, 3)),
+            }
+        )
         shares = np.split(motor_target, self._starts[1:])
         pushes = [None] * len(shares) if push is None else np.split(push, self._starts[1:])
         self._process = os.getpid()
@@ -218,3 +228,14 @@ class SimulationPool:
         states = check_states(states, (self.num, self.parts[0].state_size))
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
             part.set_states(rows)
+
+
+def _check_shapes(arrays: Mapping[str, tuple[np.ndarray | None, tuple[int, ...]]]) -> None:
+    """Check arrays of all simulations before any part takes its share.
+
+    Raises:
+        ShapeError: an array is given and has another shape.
+    """
+    for name, (array, shape) in arrays.items():
+        if array is not None and array.shape != shape:
+            raise ShapeError(f"{name} must have shape {shape}, got {array.shape}")

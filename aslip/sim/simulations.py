@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from aslip.base.checks import check_ids, check_states
+from aslip.base.checks import check_count, check_ids, check_states
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import check_timestep, load_model
@@ -49,8 +49,8 @@ class Simulations:
         drive: low level between commands and motors.
 
     Raises:
-        ConfigurationError: the model's timestep is not one of
-            `aslip.robot.model.physics_timesteps`.
+        ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep is not
+            one of `aslip.robot.model.physics_timesteps`.
     """
 
     def __init__(
@@ -62,6 +62,8 @@ class Simulations:
         robot: Robot = CASSIE,
         drive: MakeDrive = PD,
     ) -> None:
+        num = check_count("the number of simulations", num)
+        num_threads = check_count("num_threads", num_threads, least=0)
         self.model = load_model(visual=False, robot=robot) if model is None else model
         check_timestep(self.model.opt.timestep, robot)
         self.robot, self.indices = robot, robot.indices
@@ -150,7 +152,11 @@ class Simulations:
         Args:
             ids: (k,) simulations, sorted and unique.
             fields: field, by the name in `mujoco.batch` -> (k, ...).
+
+        Raises:
+            ConfigurationError: a simulation does not exist.
         """
+        ids = check_ids(ids, self.num)
         for name, rows in fields.items():
             if not name.startswith(DRIVE):
                 self.batch.expand(name)[ids] = rows

@@ -34,7 +34,7 @@ def test_counts_are_whole_numbers_also_of_numpy() -> None:
         check_count("num", 3, 1, 2)
 
 
-@pytest.mark.parametrize("make", [POOLS[0], *ENVIRONMENTS])
+@pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
 def test_invalid_counts_are_refused(make: Maker) -> None:
     with pytest.raises(ConfigurationError, match="must be a whole number of 1 or more, got"):
         make(2.0)  # pyright: ignore
@@ -61,6 +61,9 @@ def test_unknown_robots_are_named(make: Maker, ids: Any) -> None:
     expected = rf"robots 0 to 3, got \[{ids[0]}"
     with pytest.raises(ConfigurationError, match=expected):
         simulations.reset(np.array(ids))
+    mass = np.repeat(simulations.model.body_mass[None], len(ids), axis=0)
+    with pytest.raises(ConfigurationError, match=expected):
+        simulations.write_fields(np.array(ids), {"body_mass": mass})
     np.testing.assert_array_equal(simulations.states(), before)
 
 
