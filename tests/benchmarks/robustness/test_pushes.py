@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tqdm import tqdm
 
 from benchmarks.common import Subject, table
 from benchmarks.robustness import pushes
-from benchmarks.robustness.parameters import SWEEPS
 from benchmarks.robustness.pushes import (
     PUSH_COLUMNS,
     Config,
@@ -24,10 +22,7 @@ from benchmarks.robustness.pushes import (
     push_rows,
     settle,
 )
-
-NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
-BAR = tqdm(disable=True)
-SHIPPED = Subject.load("straight")
+from tests.benchmarks.robustness import BAR, NO_SWEEPS, SHIPPED
 
 
 def _config(**settings: Any) -> Config:

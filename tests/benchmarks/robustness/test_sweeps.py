@@ -7,25 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tqdm import tqdm
 
-from benchmarks.common import Subject
 from benchmarks.robustness import sweeps
-from benchmarks.robustness.parameters import SWEEPS, Sweeps
+from benchmarks.robustness.parameters import Sweeps
 from benchmarks.robustness.sweeps import (
     SweepResult,
     measure_sweeps,
     sweep_rows,
     trials,
 )
-
-NONE: dict[str, Any] = {sweep.flag: () for sweep in SWEEPS.values()}
-BAR = tqdm(disable=True)
-SHIPPED = Subject.load("straight")
+from tests.benchmarks.robustness import BAR, NO_SWEEPS, SHIPPED
 
 
 def _config(**settings: Any) -> Sweeps:
-    return Sweeps(**{**NONE, "episode": 1.2, **settings})
+    return Sweeps(**{**NO_SWEEPS, "episode": 1.2, **settings})
 
 
 def test_each_robot_of_a_sweep_has_its_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
