@@ -52,7 +52,7 @@ def controllers(folder: Path) -> Found:
 
 
 def walks(folder: Path) -> Found:
-    """Evaluation, steered walk, and steps by the interface of Gymnasium."""
+    """Evaluation, a walk of `Walker`, and steps by the interface of Gymnasium."""
     with closing(aslip.make_env(num_envs=2, num_threads=1, seed=0)) as env:
         results = evaluate(aslip.load_policy("straight"), env, [0.5, 1.0], 3)
     walker = Walker(seed=0)

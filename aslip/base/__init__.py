@@ -1,1 +1,1 @@
-"""What all rooms use: imports, files, processes, programs, compiled loops, intervals, tables."""
+"""Foundation of all packages: imports, files, processes, programs, compiled loops, intervals."""

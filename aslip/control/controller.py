@@ -169,14 +169,14 @@ class Controller(ControllerBase[ControllerState]):
     @on_cpu_in_single
     def _start(self, given: Given, phase: np.ndarray) -> ControllerState:
         command, num = self._nearest(given.command), len(given.rows)
-        steered = self.steering.begin(command, torch.from_numpy(phase), _tensor(given.stand))
+        commands = self.steering.begin(command, torch.from_numpy(phase), _tensor(given.stand))
         if given.own_estimates:
             entries = start_entries(given.rows, given.heading, self.robot, self._along_path)
         else:
             origin = torch.zeros(num, 3) if self._along_path else None
             entries = estimate_entries(*self.estimator.start(given.rows, given.heading), origin)
         first = torch.ones(num, 1, dtype=torch.bool)
-        return self.act(TensorDict({**steered, "is_init": first, **entries}, batch_size=[num]))
+        return self.act(TensorDict({**commands, "is_init": first, **entries}, batch_size=[num]))
 
     @on_cpu_in_single
     def _step(self, state: ControllerState, given: Given) -> ControllerState:
@@ -185,13 +185,13 @@ class Controller(ControllerBase[ControllerState]):
         stand = past.get("stand", None) if given.stand is None else _tensor(given.stand)
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
-        steered = self.steering.advance(past, command, cast("Tensor | None", stand))
+        commands = self.steering.advance(past, command, cast("Tensor | None", stand))
         present.update(
             {
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
-                **self._followed(past, given, steered.get("mode")),
-                **steered,
+                **self._followed(past, given, commands.get("mode")),
+                **commands,
             }
         )
         return self.act(present)

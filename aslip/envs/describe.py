@@ -1,4 +1,4 @@
-"""What an environment is made of: entries it observes, speeds, gait library, settings."""
+"""Properties of an environment: observed entries, commanded speeds, gait library, transforms."""
 
 from __future__ import annotations
 

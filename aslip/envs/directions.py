@@ -114,12 +114,12 @@ def directions_stack(
     """
     library = shipped_library("directions") if library is None else library
     transitions_of(library)
-    steered: list[NestedKey] = [_FILTERED, "phase", "mode", "stand"]
+    looked_up: list[NestedKey] = [_FILTERED, "phase", "mode", "stand"]
     stack = walking_stack(library, reward_on) | {
         "start": ReferenceStart(library, in_keys=["command", "phase", "mode"]),
         "command_filter": StandFilter(),
         "clock": StandClock(library),
-        "reference": ReferenceInjection(library, in_keys=steered),
+        "reference": ReferenceInjection(library, in_keys=looked_up),
         "heading": HeadingFrame(command_key=_FILTERED, mode_key="mode"),
         "estimator": EstimatedState(command_key=_FILTERED, mode_key="mode"),
     }

@@ -274,7 +274,7 @@ def check_wiring(env: StackEnv) -> None:
 
 
 def _misplaced(transform: Transform, before: list[Transform], stack: list[Transform]) -> str:
-    """What is wrong with the place of a transform in a stack; empty if nothing is."""
+    """Fault of a transform's place in a stack, as the end of a sentence; empty without one."""
 
     def has(some: list[Transform], kind: type[Transform]) -> bool:
         return any(isinstance(one, kind) for one in some)

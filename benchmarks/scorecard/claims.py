@@ -58,7 +58,7 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Rows]]:
 
     Raises:
         ConfigurationError: a policy follows gaits in all directions, or see `ValueRecord`.
-        FileDamagedError: the file of the record is none.
+        FileDamagedError: the file given as record holds no values of policies.
     """
     kinds: dict[str, list[Policy]] = {kind: [*getattr(config, kind)] for kind in KINDS}
     if policies.given is not None:

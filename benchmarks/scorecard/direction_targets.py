@@ -128,7 +128,7 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
         ConfigurationError: a setting is invalid, two policies have the same name, the library has
             no stop and start or no gaits up to 2 m/s, or there is a record and a policy or an
             environment of the caller, which it cannot name.
-        FileDamagedError: the file of the record is none.
+        FileDamagedError: the file given as record holds no values of policies.
     """
     given = [*config.policy] if policies.given is None else [policies.given]
     settings = {one: benchmarks_of(config, one) for one in given}

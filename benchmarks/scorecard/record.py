@@ -34,7 +34,7 @@ class ValueRecord(UserPaths):
         claims: all claims that values can be of.
 
     Raises:
-        FileDamagedError: the file is no record.
+        FileDamagedError: the file holds no values of policies.
         ConfigurationError: its policies were measured with other settings, or for other claims.
     """
 
@@ -139,7 +139,7 @@ class ValueRecord(UserPaths):
         """Add the values of a policy in place of older ones of it, and write the file.
 
         Raises:
-            FileDamagedError: the file is no record any more.
+            FileDamagedError: the file no longer holds values of policies.
             ConfigurationError: another process has added other weights under the policy's name.
         """
         means = {k: one.mean if isinstance(one, Interval) else one for k, one in values.items()}

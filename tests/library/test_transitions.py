@@ -211,10 +211,10 @@ def test_transitions_of_another_gait_are_refused(
     with pytest.raises(ConfigurationError, match=r"join the gait .* a gap of "):
         GaitLibrary(None, walking.table, transitions=replace(table, foot_position=after_right))
     # between a stop and the start after it
-    begun = table.body_position.copy()
-    begun[1, :, 0] += 0.01
+    shifted = table.body_position.copy()
+    shifted[1, :, 0] += 0.01
     with pytest.raises(ConfigurationError, match=r"begin where a stop ends, got a gap of 17\.3 mm"):
-        GaitLibrary(None, walking.table, transitions=replace(table, body_position=begun))
+        GaitLibrary(None, walking.table, transitions=replace(table, body_position=shifted))
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ def test_reset_of_an_airborne_robot_is_not_a_touchdown(
 
 
 def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -> None:
-    """The recorder is not told which gaits they are."""
+    """The recorder finds the gaits in the stack."""
     gaits, command = GaitLibrary.load("directions"), (0.3, 0.2, 0.4)
     env = _recorded(tmp_path / "a.mcap", directions_stack(gaits))
     walk = _walk(env, tmp_path / "a.mcap", "directions", command)

@@ -1,4 +1,4 @@
-"""`Walker`: one robot that is steered step by step."""
+"""`Walker`: one robot that takes commands step by step."""
 
 from __future__ import annotations
 

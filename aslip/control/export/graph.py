@@ -134,11 +134,11 @@ class PolicyStep(nn.Module):
         sizes = self._robot.estimate_sizes
         parts = given["last_estimate"].split(list(sizes.values()), dim=-1)
         last = dict(zip(sizes, parts, strict=True))
-        steered = self._steered(given, last)
+        commands = self._commands(given, last)
         heading = self._heading(given)
         estimate = {name: given[name] for name in sizes}
         present: dict[str, Any] = {
-            **steered,
+            **commands,
             "heading": heading,
             "estimate": hold_estimate(estimate, heading, last),
             "last_action": torch.where(first, 0.0, given["last_action"]),
@@ -146,14 +146,14 @@ class PolicyStep(nn.Module):
             "is_init": torch.tensor([[False]] * len(first)),
         }
         if self._placed:
-            present["odometry"] = self._odometry(given, heading, steered.get("mode"))
+            present["odometry"] = self._odometry(given, heading, commands.get("mode"))
         for name in self._memory:
             state = given[f"last_{name}"]
             present[name] = torch.where(first.reshape(-1, *[1] * (state.ndim - 1)), 0.0, state)
         acting = TensorDict(present, batch_size=[len(first)])
         return self._results(self._controller.act(acting).tensordict)
 
-    def _steered(
+    def _commands(
         self, given: Mapping[str, Tensor], last: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
         """Command, phase, and what else follows from commands and last estimate."""
