@@ -166,7 +166,7 @@ def _pd_limited(
         for j in range(out.shape[1]):
             torque = (target[i, j] - position[i, j]) * stiffness[i, j]
             torque -= velocity[i, j] * damping[i, j]
-            out[i, j] = _limit(torque / gear[j], velocity[i, j], slope[j], most[j])
+            out[i, j] = motor_limit(torque / gear[j], velocity[i, j], slope[j], most[j])
 
 
 @compiled
@@ -181,11 +181,11 @@ def _limited(
     """Write shaft torques within the limits, from (n, m) joint torques, to `out`."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            out[i, j] = _limit(torque[i, j] / gear[j], velocity[i, j], slope[j], most[j])
+            out[i, j] = motor_limit(torque[i, j] / gear[j], velocity[i, j], slope[j], most[j])
 
 
 @compiled
-def _limit(torque: float, velocity: float, slope: float, most: float) -> float:
+def motor_limit(torque: float, velocity: float, slope: float, most: float) -> float:
     """Torque of a motor within its limit at a joint velocity.
 
     The limit is most clip(2 (1 - |w| / w_max), 0, 1). NaN stays NaN, so that the simulation

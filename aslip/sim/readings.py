@@ -65,6 +65,21 @@ def read_encoders(
             inertial[4 + j, i] = qvel[i, spin + j]
 
 
+def filter_step(
+    numerator: np.ndarray, denominator: np.ndarray, memory: np.ndarray, value: float
+) -> float:
+    """One step of a filter in direct form II transposed; its memory (order,) changes in place."""
+    order = memory.shape[0]
+    filtered = memory[0] + numerator[0] * value
+    for k in range(1, order):
+        memory[k - 1] = memory[k] + value * numerator[k] - filtered * denominator[k]
+    memory[order - 1] = value * numerator[order] - filtered * denominator[order]
+    return filtered
+
+
+_filter_step = compiled(filter_step)
+
+
 @compiled
 def filter_joints(
     numerator: np.ndarray,
@@ -75,18 +90,14 @@ def filter_joints(
 ) -> None:
     """Filter values (t, n, k) along time like `scipy.signal.lfilter`.
 
-    Direct form II transposed; the memory (order, n, k) changes in place.
+    The memory (order, n, k) changes in place.
     """
-    order = memory.shape[0]
     for t in range(values.shape[0]):
         for i in range(values.shape[1]):
             for j in range(values.shape[2]):
-                x = values[t, i, j]
-                y = memory[0, i, j] + numerator[0] * x
-                for k in range(1, order):
-                    memory[k - 1, i, j] = memory[k, i, j] + x * numerator[k] - y * denominator[k]
-                memory[order - 1, i, j] = x * numerator[order] - y * denominator[order]
-                out[t, i, j] = y
+                out[t, i, j] = _filter_step(
+                    numerator, denominator, memory[:, i, j], values[t, i, j]
+                )
 
 
 @compiled

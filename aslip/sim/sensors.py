@@ -250,3 +250,9 @@ def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
     output = np.empty_like(ramp)
     filter_joints(*_padded(*JOINT_VELOCITY_FILTER), ramp, memory, output)
     return memory[:, 0, 0], float(output[-1, 0, 0])
+
+
+def filter_start(timestep: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Joint filter: numerator, denominator, memory after a constant and a ramp, gain of a ramp."""
+    ramp, gain = _ramp_response(timestep)
+    return *_padded(*JOINT_VELOCITY_FILTER), _settled(*JOINT_VELOCITY_FILTER), ramp, gain

@@ -1,0 +1,1 @@
+"""Simulations on a GPU, with MuJoCo Warp."""
