@@ -404,3 +404,22 @@ def find_diverged(
             bad = True
     overflowed[i] = overflow[i] != 0
     diverged[i] = bad or overflow[i] != 0
+
+
+@wp.kernel
+def push_pelvis(push: wp.array2d[float], pelvis: int, xfrc: wp.array2d[wp.spatial_vector]):
+    """Apply forces (n, 3) at the pelvis during the period [N, world]."""
+    i = wp.tid()
+    xfrc[i, pelvis] = wp.spatial_vector(push[i, 0], push[i, 1], push[i, 2], 0.0, 0.0, 0.0)
+
+
+@wp.kernel
+def orient_feet(
+    feet: wp.array[int], site_xmat: wp.array2d[wp.mat33], orientation: wp.array3d[float]
+):
+    """Write the orientations of the soles, wxyz."""
+    i, foot = wp.tid()
+    q = wp.quat_from_matrix(site_xmat[i, feet[foot]])
+    orientation[i, foot, 0] = q[3]
+    for k in range(3):
+        orientation[i, foot, k + 1] = q[k]

@@ -113,6 +113,9 @@ class WarpSimulations:
         key = self.model.key("standing")
         self._standing = [wp.array(x[None], dtype=float) for x in (key.qpos, key.qvel)]
         self.initial = [wp.zeros((num, x.shape[1]), dtype=float) for x in self._standing]
+        self._push = wp.zeros((num, 3), dtype=float)
+        self._feet = wp.array(at.foot_site.astype(np.int32), dtype=int)
+        self.foot_orientation = wp.zeros((num, 2, 4), dtype=float)
         self.restarted = wp.zeros(num, dtype=bool)
         self.diverged = wp.zeros(num, dtype=bool)
         self.overflowed = wp.zeros(num, dtype=bool)
@@ -135,6 +138,8 @@ class WarpSimulations:
 
     def _period(self) -> None:
         """All substeps of a policy period, and the restart of robots that diverged."""
+        pelvis = self.robot.indices.pelvis_body
+        self._launch(low.push_pelvis, self.num, self._push, pelvis, self.d.xfrc_applied)
         for first in range(0, self.robot.substeps, self._stride):
             self._physics_step(first)
         d = self.d
@@ -199,6 +204,37 @@ class WarpSimulations:
             low.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
             self._ground, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
         )  # fmt: skip
+        self._launch(
+            low.orient_feet, (num, 2), self._feet, d.site_xmat, self.foot_orientation
+        )
+
+    def arrays(self) -> dict[str, wp.array]:
+        """Live arrays by name: inputs, and what packets and truth are made of."""
+        d, motors, joints, inertial = self.d, self.motors, self.joints, self.inertial
+        return {
+            "target": motors.target,
+            "push": self._push,
+            "restarted": self.restarted,
+            "diverged": self.diverged,
+            "initial_qpos": self.initial[0],
+            "initial_qvel": self.initial[1],
+            "standing_qpos": self._standing[0],
+            "standing_qvel": self._standing[1],
+            "sent_motor_position": motors.sent_position,
+            "sent_motor_velocity": motors.sent_velocity,
+            "sent_joint_position": joints.sent_position,
+            "sent_joint_velocity": joints.sent_velocity,
+            "sent_orientation": inertial.sent_orientation,
+            "sent_gyro": inertial.sent_gyro,
+            "sent_accelerometer": inertial.sent_force,
+            "qpos": d.qpos,
+            "qvel": d.qvel,
+            "site_xpos": d.site_xpos,
+            "sensordata": d.sensordata,
+            "foot_orientation": self.foot_orientation,
+            **{n: getattr(inertial, n) for n in ("acceleration", "torque", "ground", "largest")},
+            "power": inertial.power,
+        }
 
     def advance(self) -> None:
         """Run one policy period with the targets in `motors.target`."""
