@@ -157,9 +157,14 @@ class _Settings(NamedTuple):
     gate: float
     load: float
     unload: float
-    patience: int
+    patience: float
     surprise: float
     surprise_height: float
+    half_square: float
+    """Half the squared timestep."""
+    zero: float = 0.0
+    one: float = 1.0
+    nothing: float = math.nan
 
 
 class ContactFilter:
@@ -192,9 +197,10 @@ class ContactFilter:
             gate=noise.gate,
             load=noise.load,
             unload=noise.unload,
-            patience=round(noise.patience / timestep),
+            patience=float(round(noise.patience / timestep)),
             surprise=noise.surprise**2,
             surprise_height=noise.surprise_height**2,
+            half_square=timestep * timestep / 2,
         )
 
     def start(self, motion: Motion, sole_velocity: np.ndarray) -> Belief:
@@ -235,7 +241,9 @@ class ContactFilter:
         )  # fmt: skip
 
 
-# compiled loop over robots: NumPy calls on all robots take several times as long
+# Compiled loop over robots: NumPy calls on all robots take several times as long. Warp compiles the
+# functions below, too, for GPUs (`aslip.sim.warp.estimator`), in double precision: so they have no
+# decimal literals, which Warp would read as single, no powers and no arrays of their own.
 @compiled
 def _step(
     means: np.ndarray,
@@ -253,36 +261,63 @@ def _step(
     fresh: np.ndarray,
     settings: _Settings,
 ) -> None:
+    gain = np.empty(5)
     for i in range(means.shape[0]):
-        mean, cov = means[i], covariances[i]
-        _predict(mean, cov, half_soles[i], accelerations[i], doubts[i], halves[i], settings)
-        lost = False
-        for foot in range(2):
-            column, sole = LEFT + foot, soles[i, foot]
-            threshold = settings.unload if loaded[i, foot] else settings.load
-            loaded[i, foot] = loads[i, foot] > threshold
-            lost |= loaded[i, foot]
-            lowest = settings.radius + abs(halves[i, foot, _Z])
-            rests = False
-            innovations[i, foot] = np.nan
-            if (
-                loaded[i, foot]
-                and fresh[i, foot]
-                and _near_ground(mean, cov, column, lowest, settings)
-            ):
-                rests = _correct(mean, cov, column, sole, innovations[i, foot], settings)
-            if rests:
-                _ground(mean[_Z], cov[_Z], column, lowest, settings)
-            else:
-                _plant(mean, cov, column, sole, settings.leg)
-            resting[i, foot] = rests
-        lost &= not (resting[i, 0] or resting[i, 1])
-        adrift[i] = adrift[i] + 1 if lost else 0
-        if adrift[i] > settings.patience:
-            for axis in range(3):
-                cov[axis, V, V] += settings.surprise
-            cov[_Z, P, P] += settings.surprise_height
-            adrift[i] = 0
+        _step_robot(
+            means[i], covariances[i], half_soles[i], loaded[i], resting[i], adrift[i : i + 1],
+            innovations[i], accelerations[i], doubts[i], soles[i], halves[i], loads[i], fresh[i],
+            settings, gain,
+        )  # fmt: skip
+
+
+@compiled
+def _step_robot(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    half_sole: np.ndarray,
+    loaded: np.ndarray,
+    resting: np.ndarray,
+    adrift: np.ndarray,
+    innovation: np.ndarray,
+    acceleration: np.ndarray,
+    doubt: float,
+    sole: np.ndarray,
+    half: np.ndarray,
+    load: np.ndarray,
+    fresh: np.ndarray,
+    settings: _Settings,
+    gain: np.ndarray,
+) -> None:
+    """Update one robot with one packet; `adrift` (1,) and `gain` (5,), which is for scratch."""
+    _predict(mean, cov, half_sole, acceleration, doubt, half, settings)
+    for foot in range(2):
+        column = LEFT + foot
+        threshold = settings.load
+        if loaded[foot]:
+            threshold = settings.unload
+        loaded[foot] = load[foot] > threshold
+        lowest = settings.radius + abs(half[foot, _Z])
+        for axis in range(3):
+            innovation[foot, axis] = settings.nothing
+        near = loaded[foot] and fresh[foot] and _near_ground(mean, cov, column, lowest, settings)
+        resting[foot] = False
+        if near:
+            resting[foot] = _is_at_rest(mean, cov, column, sole[foot], innovation[foot], settings)
+        if resting[foot]:
+            _correct(mean, cov, column, sole[foot], settings, gain)
+            _ground(mean[_Z], cov[_Z], column, lowest, settings, gain)
+        else:
+            _plant(mean, cov, column, sole[foot], settings.leg)
+    lost = (loaded[0] or loaded[1]) and not (resting[0] or resting[1])
+    if lost:
+        adrift[0] += settings.one
+    else:
+        adrift[0] = settings.zero
+    if adrift[0] > settings.patience:
+        for axis in range(3):
+            cov[axis, V, V] += settings.surprise
+        cov[_Z, P, P] += settings.surprise_height
+        adrift[0] = settings.zero
 
 
 @compiled
@@ -296,26 +331,26 @@ def _predict(
     settings: _Settings,
 ) -> None:
     dt = settings.timestep
-    shock = settings.shock * (acceleration**2).sum() + doubt**2
+    x, y, z = acceleration[0], acceleration[1], acceleration[2]
+    shock = settings.shock * (x * x + y * y + z * z) + doubt * doubt
     for axis in range(3):
-        x, p = mean[axis], cov[axis]
-        push = acceleration[axis] + x[B]
-        x[P] += dt * x[V] + (dt * dt / 2) * push
-        x[V] += dt * push
+        push = acceleration[axis] + mean[axis, B]
+        mean[axis, P] += dt * mean[axis, V] + settings.half_square * push
+        mean[axis, V] += dt * push
         # lever arm of a sole that rocks over its end
         for foot in range(2):
-            arm = min(max(half[foot, _Z] / settings.rock_height, -1.0), 1.0)
-            x[LEFT + foot] += arm * (half[foot, axis] - half_sole[foot, axis])
+            arm = min(max(half[foot, _Z] / settings.rock_height, -settings.one), settings.one)
+            mean[axis, LEFT + foot] += arm * (half[foot, axis] - half_sole[foot, axis])
             half_sole[foot, axis] = half[foot, axis]
         # F P F^T with F = 1 + dt in (p, v) and (v, b)
         for k in range(5):
-            p[P, k] += dt * p[V, k]
-            p[V, k] += dt * p[B, k]
+            cov[axis, P, k] += dt * cov[axis, V, k]
+            cov[axis, V, k] += dt * cov[axis, B, k]
         for k in range(5):
-            p[k, P] += dt * p[k, V]
-            p[k, V] += dt * p[k, B]
-            p[k, k] += settings.walk[axis, k]
-        p[V, V] += dt * dt * shock
+            cov[axis, k, P] += dt * cov[axis, k, V]
+            cov[axis, k, V] += dt * cov[axis, k, B]
+            cov[axis, k, k] += settings.walk[axis, k]
+        cov[axis, V, V] += dt * dt * shock
 
 
 @compiled
@@ -324,7 +359,28 @@ def _near_ground(
 ) -> bool:
     """True if a foot's lowest point can be on the ground."""
     variance = cov[_Z, column, column] + settings.ground
-    return (lowest - mean[_Z, column]) ** 2 < settings.gate * variance
+    above = lowest - mean[_Z, column]
+    return above * above < settings.gate * variance
+
+
+@compiled
+def _is_at_rest(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    column: int,
+    sole: np.ndarray,
+    squared: np.ndarray,
+    settings: _Settings,
+) -> bool:
+    """Compare sole - pelvis with its prediction, and write normalised squares to `squared`."""
+    rests = True
+    for axis in range(3):
+        across = cov[axis, column, column] - cov[axis, P, column]
+        variance = across - (cov[axis, column, P] - cov[axis, P, P]) + settings.leg
+        innovation = sole[axis] - (mean[axis, column] - mean[axis, P])
+        squared[axis] = innovation * innovation / variance
+        rests = rests and squared[axis] < settings.gate
+    return rests
 
 
 @compiled
@@ -333,30 +389,30 @@ def _correct(
     cov: np.ndarray,
     column: int,
     sole: np.ndarray,
-    squared: np.ndarray,
     settings: _Settings,
-) -> bool:
-    """Measure sole - pelvis if the foot is at rest; return whether it is."""
-    gain, variance, innovation = np.empty((3, 5)), np.empty(3), np.empty(3)
-    rests = True
+    gain: np.ndarray,
+) -> None:
+    """Measure sole - pelvis of a foot at rest."""
     for axis in range(3):
         for k in range(5):
-            gain[axis, k] = cov[axis, column, k] - cov[axis, P, k]  # P H^T
-        variance[axis] = gain[axis, column] - gain[axis, P] + settings.leg
-        innovation[axis] = sole[axis] - (mean[axis, column] - mean[axis, P])
-        squared[axis] = innovation[axis] ** 2 / variance[axis]
-        rests &= squared[axis] < settings.gate
-    if not rests:
-        return False
-    for axis in range(3):
-        _update(mean[axis], cov[axis], gain[axis], variance[axis], innovation[axis])
-    return True
+            gain[k] = cov[axis, column, k] - cov[axis, P, k]  # P H^T
+        variance = gain[column] - gain[P] + settings.leg
+        innovation = sole[axis] - (mean[axis, column] - mean[axis, P])
+        _update(mean[axis], cov[axis], gain, variance, innovation)
 
 
 @compiled
-def _ground(x: np.ndarray, p: np.ndarray, column: int, lowest: float, settings: _Settings) -> None:
+def _ground(
+    x: np.ndarray,
+    p: np.ndarray,
+    column: int,
+    lowest: float,
+    settings: _Settings,
+    gain: np.ndarray,
+) -> None:
     """Measure the centre height of a sole whose lowest point is on the ground."""
-    gain = p[column].copy()
+    for k in range(5):
+        gain[k] = p[column, k]
     _update(x, p, gain, gain[column] + settings.ground, lowest - x[column])
 
 
