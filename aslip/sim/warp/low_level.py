@@ -115,12 +115,12 @@ def _shaft_torque(motors: Motors, i: int, j: int):
 def _read_motor(motors: Motors, i: int, j: int, angle: float, packet: int):
     counted = wp.trunc(angle / motors.step[j])
     total = int(0)
+    # differences to the newest count, as the taps' sum is zero: whole counts would overflow
     for k in range(_TAPS - 1):
         older = motors.count[i, k + 1, j]
         motors.count[i, k, j] = older
-        total += _OLDEST_FIRST[k] * older
+        total += _OLDEST_FIRST[k] * (older - int(counted))
     motors.count[i, _TAPS - 1, j] = int(counted)
-    total += _OLDEST_FIRST[_TAPS - 1] * int(counted)
     motors.position[i, j] = counted * motors.step[j]
     motors.velocity[i, j] = float(total) * motors.velocity_step[j]
     if packet >= 0:
@@ -281,7 +281,7 @@ def settle_motors(
     newest = motors.count[i, _TAPS - 1, j]
     total = int(0)
     for k in range(_TAPS):
-        total += _OLDEST_FIRST[k] * motors.count[i, k, j]
+        total += _OLDEST_FIRST[k] * (motors.count[i, k, j] - newest)
     motors.position[i, j] = float(newest) * motors.step[j]
     motors.velocity[i, j] = float(total) * motors.velocity_step[j]
     for packet in range(motors.sent_position.shape[1]):

@@ -14,14 +14,17 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
+from aslip.base.checks import check_states
 from aslip.robot import CASSIE, Robot
 from aslip.sim.sensors import JOINT_VELOCITY_FILTER, filter_start
 from aslip.sim.warp import low_level as low
+from aslip.sim.warp.states import history_of_ring, ring_of_history, state_parts
 
 CONTACTS: Final = 24
 """Contacts for which there is memory, per robot."""
 CONSTRAINTS: Final = 96
 """Constraint rows for which there is memory, per robot."""
+_INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 # beyond, MuJoCo resets a simulation
 _LARGEST = 1e10
 
@@ -247,9 +250,74 @@ class WarpSimulations:
         self.restarted.fill_(True)
         self.restart()
 
+    def states(self) -> np.ndarray:
+        """(n, k) copy of the complete states; see `aslip.sim.Simulations.states`."""
+        motors, model = self.motors, self.model
+        parts = state_parts(model)
+        physics = np.tile(_default_state(model), (self.num, 1))
+        tick = motors.tick.numpy()
+        physics[:, parts["time"]] = tick[:, None] * model.opt.timestep
+        for name, array in self._mirrored().items():
+            physics[:, parts[name]] = array.numpy().reshape(self.num, -1)
+        physics[:, parts["history"]] = history_of_ring(motors.waiting.numpy(), tick, model)
+        memory = (
+            motors.count.numpy()[:, 1:],
+            self.joints.memory.numpy().swapaxes(1, 2),
+            motors.position.numpy(),
+            motors.velocity.numpy(),
+        )
+        return np.concatenate([physics, *(part.reshape(self.num, -1) for part in memory)], axis=1)
+
+    @property
+    def state_size(self) -> int:
+        """Length of one simulation's row in `states`."""
+        return self.states().shape[1]
+
+    def set_states(self, states: np.ndarray) -> None:
+        """Restore a result of `states`, of these or of other simulations of the same model.
+
+        Raises:
+            ShapeError: the states have another number or model; nothing is changed.
+        """
+        states = check_states(states, (self.num, self.state_size))
+        parts, motors, num = state_parts(self.model), self.motors, self.num
+        tick = np.rint(states[:, parts["time"]][:, 0] / self.model.opt.timestep).astype(int)
+        for name, array in self._mirrored().items():
+            array.assign(states[:, parts[name]].reshape(array.numpy().shape))
+        motors.tick.assign(tick)
+        motors.waiting.assign(ring_of_history(states[:, parts["history"]], tick, self.model))
+        taps, width = low.TAPS, motors.position.shape[1]
+        joints = self.joints.memory
+        sizes = [(taps - 1) * width, joints.shape[1] * joints.shape[2], width]
+        memory = states[:, mujoco.mj_stateSize(self.model, _INTEGRATION) :]
+        count, joint, position, velocity = np.split(memory, np.cumsum(sizes), axis=1)
+        counts = motors.count.numpy().copy()
+        counts[:, 1:] = count.reshape(num, taps - 1, width)
+        motors.count.assign(counts)
+        joints.assign(joint.reshape(num, joints.shape[2], -1).swapaxes(1, 2))
+        motors.position.assign(position)
+        motors.velocity.assign(velocity)
+        # derived quantities: MuJoCo Warp's constraints read body velocities of the step before
+        self.restarted.zero_()
+        self.restart()
+
+    def _mirrored(self) -> dict[str, wp.array]:
+        """Arrays that MuJoCo's integration state has, too, by its names."""
+        d = self.d
+        return {"qpos": d.qpos, "qvel": d.qvel, "warmstart": d.qacc_warmstart, "ctrl": d.ctrl} | {
+            "xfrc_applied": d.xfrc_applied
+        }
+
     def restart(self) -> None:
         """Restart the simulations marked in `restarted` at the states in `initial`."""
         wp.capture_launch(self._graphs["restart"])
+
+
+def _default_state(model: mujoco.MjModel) -> np.ndarray:
+    """Integration state after a reset."""
+    state = np.empty(mujoco.mj_stateSize(model, _INTEGRATION))
+    mujoco.mj_getState(model, mujoco.MjData(model), state, _INTEGRATION)
+    return state
 
 
 def _without_delay(model: mujoco.MjModel) -> mujoco.MjModel:
