@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aslip.base.arrays import Array, contiguous, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
@@ -15,6 +18,7 @@ from aslip.estimation.packets import PacketMemory, Screen, Screened, read_window
 from aslip.estimation.state import Estimate, Tracking
 from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot
 from aslip.robot.rotation import (
+    cross,
     normalize,
     orientation_to_heading,
     quaternion_to_matrix,
@@ -50,28 +54,39 @@ class StateEstimator:
     Args:
         robot: robot that sends the packets; `LegKinematics` must support its legs.
         noise: noise that the filter assumes.
+        device: device of packets that are tensors of torch, such as "cuda"; None for arrays.
     """
 
-    def __init__(self, robot: Robot = CASSIE, noise: FilterNoise | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot = CASSIE,
+        noise: FilterNoise | None = None,
+        device: Any = None,
+    ) -> None:
+        place = np.asarray
+        if device is not None:
+            import torch  # arrays need none
+
+            place = functools.partial(torch.as_tensor, device=device)
         self.robot = robot
         """Robot that sends the packets."""
         self._at = robot.packet_slices
-        self._screen = Screen(robot)
-        self._legs = LegKinematics(robot)
+        self._screen = Screen(robot, place)
+        self._legs = LegKinematics(robot, place)
         self._filter = ContactFilter(
             robot.packet_period,
             self._legs.sole_radius,
             self._legs.half_length,
             noise or FilterNoise(),
         )
-        self._imu = np.array(robot.skeleton.sites[robot.imu_site].position)
+        imu = np.array(robot.skeleton.sites[robot.imu_site].position)
         # alpha x imu = alpha @ arm
-        self._arm = np.cross(np.eye(3), self._imu)
-        self._standing = _standing(robot)
+        self._imu, self._arm = place(imu), place(np.cross(np.eye(3), imu))
+        self._standing = place(_standing(robot))
 
     def start(
         self,
-        packets: Mapping[str, np.ndarray] | np.ndarray,
+        packets: Mapping[str, np.ndarray] | Array,
         heading: ArrayLike | None = None,
     ) -> tuple[Tracking, Estimate]:
         """Start to track robots, assuming that the lower foot rests on the ground.
@@ -91,29 +106,30 @@ class StateEstimator:
             ConfigurationError: a heading is not finite.
         """
         rows = read_windows(packets, self.robot)[:, -1:]
-        num = len(rows)
-        blind = PacketMemory.of(np.tile(self._standing, (num, 1)))
+        xp, num = namespace(rows), len(rows)
+        blind = PacketMemory.of(xp.zeros_like(rows[:, 0]) + self._standing)
         # without earlier packets, no reading is a jump or a repetition
         blind.jumps += np.inf
         blind.repeats -= np.inf
         screened = self._screen(rows, blind)
         memory = PacketMemory.of(blind.reading)
-        good = {name: np.ones_like(getattr(screened, name)) for name in ("legs", "imu", "age")}
+        good = {name: xp.ones_like(getattr(screened, name)) for name in ("legs", "imu", "age")}
         motions, geometry = self._interpret(
-            memory.reading, np.zeros((num, 3)), screened._replace(**good)
+            memory.reading, xp.zeros_like(rows[:, 0, :3]), screened._replace(**good)
         )
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
         if heading is None:
             heading = yaw(memory.reading[:, self._at["orientation"]])
-        headings = np.broadcast_to(np.asarray(heading, dtype=np.float64).reshape(-1), (num,))
-        if not np.isfinite(headings).all():
+        headings = xp.asarray(heading, dtype=rows.dtype).reshape(-1)
+        headings = copied(xp.broadcast_to(headings, (num,)))
+        if not xp.isfinite(headings).all():
             raise ConfigurationError(f"heading must be finite, got {headings.tolist()}")
-        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings.copy())
-        nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
+        tracking = Tracking(belief, memory, geometry.angular_acceleration, headings)
+        nothing, resting = (copied(x)[:, None] for x in (belief.innovation, belief.resting))
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 
     def update(
-        self, tracking: Tracking, packets: Mapping[str, np.ndarray] | np.ndarray | None
+        self, tracking: Tracking, packets: Mapping[str, np.ndarray] | Array | None
     ) -> Estimate:
         """Update `tracking` in place with packets, and estimate the state.
 
@@ -137,26 +153,27 @@ class StateEstimator:
         screened = self._screen(rows, tracking.packets)
         motions, geometry = self._interpret(before, tracking.angular_acceleration, screened)
         tracking.angular_acceleration = geometry.angular_acceleration
-        innovation = np.empty((num, len(motions), 2, 3))
-        resting = np.empty((num, len(motions), 2), dtype=bool)
-        for k, motion in enumerate(motions):
+        innovation, resting = [], []
+        for motion in motions:
             self._filter.step(tracking.belief, motion)
-            innovation[:, k] = tracking.belief.innovation
-            resting[:, k] = tracking.belief.resting
+            innovation.append(copied(tracking.belief.innovation))
+            resting.append(copied(tracking.belief.resting))
+        innovation, resting = (namespace(rows).stack(x, axis=1) for x in (innovation, resting))
         return self._describe(tracking, geometry, screened.faults, innovation, resting)
 
     def _interpret(
-        self, before: np.ndarray, angular_before: np.ndarray, screened: Screened
+        self, before: Array, angular_before: Array, screened: Screened
     ) -> tuple[list[Motion], _Geometry]:
         """Motion at each packet for the filter, and more geometry at the last one."""
         readings, age = screened.readings, screened.age
-        both = np.concatenate([before[:, None], readings], axis=1)
+        xp = namespace(readings)
+        both = xp.concatenate([before[:, None], readings], axis=1)
         turn = quaternion_to_matrix(both[..., self._at["orientation"]])
         gyro = both[..., self._at["gyro"]]
         angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
         # an accelerometer's mean covers the time since the previous packet, also after a gap
         middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
-        middle = np.where(
+        middle = xp.where(
             age[..., :3] > 1, gyro[:, 1:] - angular * (self.robot.packet_period / 2), middle
         )
         # at the pelvis' origin: a - alpha x r - omega x (omega x r)
@@ -164,7 +181,7 @@ class StateEstimator:
         proper -= (middle @ self._imu)[..., None] * middle
         proper += (middle**2).sum(-1, keepdims=True) * self._imu
         mean_turn = (turn[:, 1:] + turn[:, :-1]) / 2
-        mean_turn = np.where(age[..., 3:, None] > 1, turn[:, 1:], mean_turn)
+        mean_turn = xp.where(age[..., 3:, None] > 1, turn[:, 1:], mean_turn)
         acceleration = (mean_turn @ proper[..., None])[..., 0]
         acceleration[..., 2] -= STANDARD_GRAVITY
 
@@ -174,19 +191,17 @@ class StateEstimator:
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
-        doubt = np.where(screened.imu, 0.0, _DOUBT)
+        doubt = xp.where(screened.imu, 0.0, _DOUBT)
         # the filter is compiled for contiguous arrays of one packet
         columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
-        packets = zip(*(np.ascontiguousarray(x.swapaxes(0, 1)) for x in columns), strict=True)
+        packets = zip(*(contiguous(x.swapaxes(0, 1)) for x in columns), strict=True)
         motions = [Motion(*packet) for packet in packets]
         gravity = STANDARD_GRAVITY * turn[:, -1, 2]
         lateral = vectors[:, -1, :, LATERAL]
         own = proper[:, -1] - gravity
-        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, own, angular[:, -1].copy())
+        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, own, copied(angular[:, -1]))
 
-    def _angular_acceleration(
-        self, gyro: np.ndarray, before: np.ndarray, age: np.ndarray
-    ) -> np.ndarray:
+    def _angular_acceleration(self, gyro: Array, before: Array, age: Array) -> Array:
         """Angular acceleration (n, w, 3) between the last two readings at each packet [rad/s^2].
 
         Args:
@@ -195,13 +210,16 @@ class StateEstimator:
             age: (n, w, 3) packets between a new reading and the previous one; zero without a new
                 reading.
         """
-        angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.robot.packet_period * np.maximum(age, 1))
-        for k in np.flatnonzero((age == 0).any((0, 2))):
-            held = angular[:, k - 1] if k else before
-            angular[:, k] = np.where(age[:, k] == 0, held, angular[:, k])
+        xp = namespace(age)
+        held = age == 0
+        packets = np.flatnonzero(held.any((0, 2))) if is_numpy(age) else range(age.shape[1])
+        angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.robot.packet_period * xp.clip(age, 1, None))
+        for k in packets:
+            last = angular[:, k - 1] if k else before
+            angular[:, k] = xp.where(held[:, k], last, angular[:, k])
         return angular
 
-    def _sole_velocity(self, reading: np.ndarray) -> np.ndarray:
+    def _sole_velocity(self, reading: Array) -> Array:
         """(n, 2, 3) velocities of the soles relative to the pelvis [m/s, world]."""
         motors, joints = (
             (
@@ -217,7 +235,7 @@ class StateEstimator:
         soles = [foot[:, :, [HEEL, TOE]].mean(2) for foot in feet]
         velocity = (soles[1] - soles[0]) / (2 * _DIFFERENCE)
         gyro = reading[:, None, self._at["gyro"]]
-        velocity += np.cross(gyro, (soles[0] + soles[1]) / 2)
+        velocity += cross(gyro, (soles[0] + soles[1]) / 2)
         turn = quaternion_to_matrix(reading[:, self._at["orientation"]])
         return velocity @ turn.swapaxes(-1, -2)
 
@@ -225,13 +243,13 @@ class StateEstimator:
         self,
         tracking: Tracking,
         geometry: _Geometry,
-        faults: np.ndarray,
-        innovation: np.ndarray,
-        resting: np.ndarray,
+        faults: Array,
+        innovation: Array,
+        resting: Array,
     ) -> Estimate:
         mean, reading, heading = tracking.belief.mean, tracking.packets.reading, tracking.heading
         # one call for all vectors: NumPy's overhead exceeds the arithmetic of few robots
-        vectors = np.concatenate(
+        vectors = namespace(mean).concatenate(
             [
                 mean[..., None, :, P],
                 mean[..., None, :, V],
@@ -260,10 +278,10 @@ class StateEstimator:
             forward=turned[:, 4:6] / self._legs.half_length,
             left=turned[:, 6:8],
             sole_radius=self._legs.sole_radius,
-            contact=tracking.belief.loaded.copy(),
+            contact=copied(tracking.belief.loaded),
             innovation=innovation,
             resting=resting,
-            faults=faults.max(1),
+            faults=faults.any(1),
         )
 
 
@@ -271,11 +289,11 @@ class StateEstimator:
 class _Geometry:
     """Feet and acceleration at the last packet."""
 
-    sole: np.ndarray
-    half_sole: np.ndarray
-    lateral: np.ndarray
-    acceleration: np.ndarray
-    angular_acceleration: np.ndarray
+    sole: Array
+    half_sole: Array
+    lateral: Array
+    acceleration: Array
+    angular_acceleration: Array
 
 
 def _standing(robot: Robot) -> np.ndarray:

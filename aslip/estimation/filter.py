@@ -27,11 +27,13 @@ fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
+from aslip.base.arrays import Array, copied, is_numpy, namespace, python_function, zeros
 from aslip.base.checks import TINY, check_number
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
@@ -109,19 +111,19 @@ class FilterNoise:
 class Belief:
     """State of n filters."""
 
-    mean: np.ndarray
+    mean: Array
     """(n, 3, 5) states of the axes x, y, z of the world."""
-    covariance: np.ndarray
+    covariance: Array
     """(n, 3, 5, 5) covariances of these states."""
-    half_sole: np.ndarray
+    half_sole: Array
     """(n, 2, 3) vectors from the centre of each sole to its toe [m, world]."""
-    loaded: np.ndarray
+    loaded: Array
     """(n, 2) bool, contact by the springs of the leg."""
-    resting: np.ndarray
+    resting: Array
     """(n, 2) bool, foot at rest: a measurement of the last update."""
-    adrift: np.ndarray
+    adrift: Array
     """(n,) packets since a loaded foot last rested."""
-    innovation: np.ndarray
+    innovation: Array
     """(n, 2, 3) normalised innovation squared of a loaded foot by axis, otherwise NaN."""
 
 
@@ -129,17 +131,17 @@ class Belief:
 class Motion:
     """Inputs and measurements of the filter at one packet, in world axes."""
 
-    acceleration: np.ndarray
+    acceleration: Array
     """(n, 3) acceleration of the pelvis' origin, without gravity [m/s^2]."""
-    doubt: np.ndarray
+    doubt: Array
     """(n,) further standard deviation of the acceleration without a good reading [m/s^2]."""
-    sole: np.ndarray
+    sole: Array
     """(n, 2, 3) centres of the soles' axes relative to the pelvis [m]."""
-    half_sole: np.ndarray
+    half_sole: Array
     """(n, 2, 3) vectors from the centres to the toes [m]."""
-    load: np.ndarray
+    load: Array
     """(n, 2) vertical forces on the feet [N]."""
-    fresh: np.ndarray
+    fresh: Array
     """(n, 2) bool, all readings of the leg are new and good."""
 
 
@@ -203,38 +205,47 @@ class ContactFilter:
             half_square=timestep * timestep / 2,
         )
 
-    def start(self, motion: Motion, sole_velocity: np.ndarray) -> Belief:
+    def start(self, motion: Motion, sole_velocity: Array) -> Belief:
         """Initial state of the filters, with the lower foot at rest on the ground.
 
         Args:
             motion: first packet.
             sole_velocity: (n, 2, 3) velocities of the soles relative to the pelvis [m/s, world].
         """
-        num, noise = len(motion.sole), self.noise
-        lowest = motion.sole[..., _Z] - np.abs(motion.half_sole[..., _Z])
-        rows, stance = np.arange(num), lowest.argmin(1)
-        mean = np.zeros((num, 3, 5))
-        mean[..., V] = -sole_velocity[rows, stance]
-        mean[:, _Z, P] = self._settings.radius - lowest[rows, stance]
-        covariance = np.zeros((num, 3, 5, 5))
+        num, noise, sole = len(motion.sole), self.noise, motion.sole
+        xp = namespace(sole)
+        lowest = sole[..., _Z] - abs(motion.half_sole[..., _Z])
+        right = lowest[:, 1] < lowest[:, 0]
+        mean = zeros((num, 3, 5), sole)
+        mean[..., V] = -xp.where(right[:, None], sole_velocity[:, 1], sole_velocity[:, 0])
+        mean[:, _Z, P] = self._settings.radius - xp.where(right, lowest[:, 1], lowest[:, 0])
+        covariance = zeros((num, 3, 5, 5), sole)
         covariance[:, _Z, P, P] = noise.initial_height**2
         covariance[..., V, V] = noise.initial_velocity**2
         covariance[..., B, B] = noise.initial_acceleration_error**2
-        for i, foot in np.ndindex(num, 2):
-            _plant(mean[i], covariance[i], LEFT + foot, motion.sole[i, foot], self._settings.leg)
+        # the code of one robot, with robots along the last axis
+        views = [xp.moveaxis(array, 0, -1) for array in (mean, covariance, sole)]
+        for foot in range(2):
+            python_function(_plant)(*views[:2], LEFT + foot, views[2][foot], self._settings.leg)
+        no_foot = zeros((num, 2), sole) != 0
         return Belief(
             mean=mean,
             covariance=covariance,
-            half_sole=motion.half_sole.copy(),
-            loaded=np.zeros((num, 2), dtype=bool),
-            resting=np.zeros((num, 2), dtype=bool),
-            adrift=np.zeros(num),
-            innovation=np.full((num, 2, 3), np.nan),
+            half_sole=copied(motion.half_sole),
+            loaded=no_foot,
+            resting=copied(no_foot),
+            adrift=zeros((num,), sole),
+            innovation=sole * math.nan,
         )
 
     def step(self, belief: Belief, motion: Motion) -> None:
         """Update `belief` in place with one packet."""
-        _step(
+        if is_numpy(belief.mean):
+            step = _step
+        else:
+            from aslip.estimation.device import step  # arrays need no Warp
+
+        step(
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
             belief.adrift, belief.innovation, motion.acceleration, motion.doubt, motion.sole,
             motion.half_sole, motion.load, motion.fresh, self._settings,
@@ -242,7 +253,7 @@ class ContactFilter:
 
 
 # Compiled loop over robots: NumPy calls on all robots take several times as long. Warp compiles the
-# functions below, too, for GPUs (`aslip.sim.warp.estimator`), in double precision: so they have no
+# functions below, too, for GPUs (`aslip.estimation.device`), in double precision: so they have no
 # decimal literals, which Warp would read as single, no powers and no arrays of their own.
 @compiled
 def _step(

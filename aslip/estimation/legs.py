@@ -21,10 +21,13 @@ Weight and inertia below the springs (1.6 kg) are neglected.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from aslip.base.arrays import Array, is_numpy, python_function
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, SIDES, Robot, Side
@@ -50,18 +53,24 @@ class LegKinematics:
     Args:
         robot: robot with the motors hip roll, yaw and pitch, knee and foot, encoders at shin,
             tarsus and foot, and an Achilles rod.
+        place: what makes constants arrays of the readings' kind.
 
     Raises:
         ConfigurationError: the robot has other motors or encoders, hinges that are not parallel, or
             a rod that closes no loop.
     """
 
-    def __init__(self, robot: Robot = CASSIE) -> None:
-        self._left, self._right = leg_chains(robot)
+    def __init__(
+        self, robot: Robot = CASSIE, place: Callable[[np.ndarray], Array] = np.asarray
+    ) -> None:
+        self._left, self._right = (
+            Chain(*(place(x) if isinstance(x, np.ndarray) else x for x in chain))
+            for chain in leg_chains(robot)
+        )
         self.sole_radius, self.half_length, *_ = robot.skeleton.geoms["left_foot"].size
         """Radius of the soles' contact capsules, and half the length of their axes [m]."""
 
-    def __call__(self, motor_position: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
+    def __call__(self, motor_position: Array, joint_position: Array) -> Array:
         """Compute feet and forces.
 
         Args:
@@ -72,12 +81,24 @@ class LegKinematics:
             (*b, 2, 4, 3) in the pelvis frame; left leg first, then `HEEL`, `TOE`, `LATERAL`,
             `FORCE`.
         """
+        if not is_numpy(motor_position):
+            return self._of_tensors(motor_position, joint_position)
         vectors = np.empty((*motor_position.shape[:-1], 2, 4, 3))
         # the legs are compiled for contiguous arrays
         motors = np.ascontiguousarray(motor_position).reshape(-1, 2, 5)
         joints = np.ascontiguousarray(joint_position).reshape(-1, 2, 3)
         _legs(motors, joints, self._left, self._right, vectors.reshape(-1, 2, 4, 3))
         return vectors
+
+    def _of_tensors(self, motor_position: Any, joint_position: Any) -> Any:
+        """Compute all robots at once by the code of one leg, with robots along the last axis."""
+        leg, batch = _leg_of_tensors(), motor_position.shape[:-1]
+        motors = motor_position.reshape(-1, 2, 5).permute(1, 2, 0)
+        joints = joint_position.reshape(-1, 2, 3).permute(1, 2, 0)
+        vectors = motors.new_empty(2, 4, 3, motors.shape[-1])
+        for i, chain in enumerate((self._left, self._right)):
+            leg(motors[i], joints[i], chain, vectors[i])
+        return vectors.permute(3, 0, 1, 2).reshape(*batch, 2, 4, 3)
 
 
 class Chain(NamedTuple):
@@ -200,6 +221,17 @@ def _unit(angle: float) -> complex:
 def _dot(a: complex, b: complex) -> float:
     """Scalar product of planar vectors."""
     return a.real * b.real + a.imag * b.imag
+
+
+@functools.cache
+def _leg_of_tensors() -> Any:
+    """`_leg` on tensors of torch whose last axis counts robots."""
+    import torch  # arrays need none
+
+    uses: dict[str, Any] = {"np": torch, "complex": torch.complex}
+    for function in (_unit, _dot, _to_pelvis, _force):
+        uses[function.__name__] = python_function(function, **uses)
+    return python_function(_leg, **uses)
 
 
 def _plane(vector: np.ndarray) -> np.ndarray:

@@ -10,12 +10,13 @@ comes every 5 ms.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from aslip.base.arrays import Array, copied, is_numpy, namespace
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.robot import LARGEST, UNIT_TOLERANCE
@@ -64,34 +65,35 @@ def join(packet: Mapping[str, np.ndarray], robot: Robot = CASSIE) -> np.ndarray:
 class PacketMemory:
     """Memory of n robots' packets."""
 
-    reading: np.ndarray
+    reading: Array
     """(n, p) last good readings."""
-    jumps: np.ndarray
+    jumps: Array
     """(n,) successive packets with a jump of the IMU."""
-    repeats: np.ndarray
+    repeats: Array
     """(n,) successive packets in which the IMU repeated itself."""
-    age: np.ndarray
+    age: Array
     """(n, 4) packets since the last new reading of each gyro axis and the attitude."""
 
     @classmethod
-    def of(cls, reading: np.ndarray) -> PacketMemory:
+    def of(cls, reading: Array) -> PacketMemory:
         """Memory of robots whose readings (n, p) are new and good."""
-        num = len(reading)
-        return cls(reading, np.zeros(num), np.zeros(num), np.zeros((num, 4)))
+        xp = namespace(reading)
+        jumps, repeats = (xp.zeros_like(reading[:, 0]) for _ in range(2))
+        return cls(reading, jumps, repeats, xp.zeros_like(reading[:, :4]))
 
 
 class Screened(NamedTuple):
     """Windows of packets of n robots, with bad readings replaced."""
 
-    readings: np.ndarray
+    readings: Array
     """(n, w, p) readings; the packets themselves if all are good."""
-    faults: np.ndarray
+    faults: Array
     """(n, w, 4) bool, `FAULTS` of each packet."""
-    legs: np.ndarray
+    legs: Array
     """(n, w, 2) bool, all readings of a leg are good."""
-    imu: np.ndarray
+    imu: Array
     """(n, w) bool, all readings of the IMU are good."""
-    age: np.ndarray
+    age: Array
     """(n, w, 4) packets between a new reading and the previous one, for each gyro axis and the
     attitude; zero without a new reading."""
 
@@ -101,11 +103,13 @@ class Screen:
 
     Args:
         robot: robot that sends the packets.
+        place: what makes constants arrays of the packets' kind.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, place: Callable[[np.ndarray], Array] = np.asarray) -> None:
         at, sizes = robot.packet_slices, robot.packet_sizes
-        self._limit = np.concatenate([np.full(n, LARGEST[name]) for name, n in sizes.items()])
+        limit = np.concatenate([np.full(n, LARGEST[name]) for name, n in sizes.items()])
+        self._limit, self._largest_jump = place(limit), place(_LARGEST_JUMP)
         self._orientation, self._gyro = at["orientation"], at["gyro"]
         self._imu = slice(self._gyro.start, robot.packet_size)
         # channels of each leg: half of each encoder entry
@@ -117,37 +121,39 @@ class Screen:
 
     # readings near the largest number of double precision overflow
     @np.errstate(over="ignore", invalid="ignore")
-    def __call__(self, packets: np.ndarray, memory: PacketMemory) -> Screened:
+    def __call__(self, packets: Array, memory: PacketMemory) -> Screened:
         """Screen (n, w, p) packets, oldest first; `memory` changes in place."""
-        num, window, _ = packets.shape
-        good = np.abs(packets) <= self._limit
+        xp = namespace(packets)
+        good = abs(packets) <= self._limit
         length = (packets[..., self._orientation] ** 2).sum(-1)
-        good[..., self._orientation] &= (np.abs(length - 1) <= UNIT_TOLERANCE)[..., None]
-        imu = np.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
-        change = np.abs(imu[:, 1:] - imu[:, :-1])
-        smooth = (change <= _LARGEST_JUMP).all(-1)
+        good[..., self._orientation] &= (abs(length - 1) <= UNIT_TOLERANCE)[..., None]
+        imu = xp.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
+        change = abs(imu[:, 1:] - imu[:, :-1])
         # != counts a change to NaN as movement
-        moving = change.max(-1) != 0
+        moving = xp.amax(change, -1) != 0
+        if not is_numpy(packets):  # asking whether all is good would wait for the device
+            return self._mend(packets, memory, good, moving)
+        smooth = (change <= self._largest_jump).all(-1)
         if not (good.all() and smooth.all() and moving.all()) or memory.age.any():
             return self._mend(packets, memory, good, moving)
+        num, window, _ = packets.shape
         memory.jumps[:] = memory.repeats[:] = 0
         # copy, as the caller may reuse the buffer of packets
-        memory.reading = packets[:, -1].copy()
+        memory.reading = copied(packets[:, -1])
         faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
         legs = np.ones((num, window, 2), dtype=bool)
         return Screened(packets, faults, legs, legs[..., 0], np.ones((num, window, 4)))
 
-    def _mend(
-        self, packets: np.ndarray, memory: PacketMemory, good: np.ndarray, moving: np.ndarray
-    ) -> Screened:
-        number = np.isfinite(packets)
-        faults = np.zeros((*packets.shape[:2], len(FAULTS)), dtype=bool)
+    def _mend(self, packets: Array, memory: PacketMemory, good: Array, moving: Array) -> Screened:
+        xp = namespace(packets)
+        number = xp.isfinite(packets)
+        faults = xp.zeros_like(good[..., : len(FAULTS)])
         faults[..., MISSING] = ~number.all(-1)
         faults[..., IMPLAUSIBLE] = (number & ~good).any(-1)
-        readings, age = packets.copy(), np.empty((*packets.shape[:2], 4))
+        readings, age = [], []
         for k in range(packets.shape[1]):
             packet, valid = packets[:, k], good[:, k]
-            memory.repeats = np.where(moving[:, k], 0, memory.repeats + 1)
+            memory.repeats = xp.where(moving[:, k], 0, memory.repeats + 1)
             frozen = memory.repeats > self._most_repeats
             valid[:, self._imu] &= ~frozen[:, None]
             # if the whole packet repeats, the readings of the legs are old, too
@@ -155,34 +161,36 @@ class Screen:
             jump = self._jumps(packet, memory, valid)
             valid[:, self._imu] &= ~jump[:, None]
             faults[:, k, FROZEN], faults[:, k, JUMP] = frozen, jump
-            memory.reading = np.where(valid, packet, memory.reading)
-            readings[:, k] = memory.reading
-            attitude = valid[:, self._orientation].all(-1, keepdims=True)
-            new = np.concatenate([valid[:, self._gyro], attitude], axis=1) & moving[:, k, None]
-            age[:, k] = np.where(new, memory.age + 1, 0)
-            memory.age = np.where(new, 0, memory.age + 1)
-        legs = np.stack([good[..., channels].min(-1) for channels in self._legs], axis=-1)
-        return Screened(readings, faults, legs, good[..., self._orientation.start :].min(-1), age)
+            memory.reading = xp.where(valid, packet, memory.reading)
+            readings.append(memory.reading)
+            attitude = valid[:, self._orientation].all(-1)[:, None]
+            new = xp.concatenate([valid[:, self._gyro], attitude], axis=1) & moving[:, k, None]
+            age.append(xp.where(new, memory.age + 1, 0))
+            memory.age = xp.where(new, 0, memory.age + 1)
+        legs = xp.stack([xp.amin(good[..., channels], -1) for channels in self._legs], axis=-1)
+        imu = xp.amin(good[..., self._orientation.start :], -1)
+        return Screened(xp.stack(readings, axis=1), faults, legs, imu, xp.stack(age, axis=1))
 
-    def _jumps(self, packet: np.ndarray, memory: PacketMemory, valid: np.ndarray) -> np.ndarray:
+    def _jumps(self, packet: Array, memory: PacketMemory, valid: Array) -> Array:
         """(n,) bool, True where the IMU jumps in packets (n, p); counts successive jumps."""
-        change = np.abs(packet[:, self._imu] - memory.reading[:, self._imu])
-        fast = (change > _LARGEST_JUMP).any(-1) & valid[:, self._imu].all(-1)
+        change = abs(packet[:, self._imu] - memory.reading[:, self._imu])
+        fast = (change > self._largest_jump).any(-1) & valid[:, self._imu].all(-1)
         jump = fast & (memory.jumps < self._persistent)
-        memory.jumps[:] = np.where(jump, memory.jumps + 1, 0)
+        memory.jumps[:] = namespace(packet).where(jump, memory.jumps + 1, 0)
         return jump
 
 
-def read_windows(
-    packets: Mapping[str, np.ndarray] | np.ndarray, robot: Robot = CASSIE
-) -> np.ndarray:
+def read_windows(packets: Mapping[str, np.ndarray] | Array, robot: Robot = CASSIE) -> Array:
     """Convert one packet of one robot, or (n, w) packets, to an array (n, w, p).
 
     Raises:
         ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape.
     """
-    mapping = isinstance(packets, Mapping)
-    rows = join(packets, robot) if mapping else np.asarray(packets, dtype=np.float64)
+    if isinstance(packets, Mapping):
+        rows = join(packets, robot)
+    else:
+        tensor = hasattr(packets, "device") and not is_numpy(packets)
+        rows = packets.double() if tensor else np.asarray(packets, dtype=np.float64)
     size = robot.packet_size
     if rows.ndim not in (1, 3) or rows.shape[-1] != size:
         raise ShapeError(

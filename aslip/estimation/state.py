@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
+from aslip.base.arrays import Array, copied, namespace
 from aslip.errors import ShapeError
 from aslip.estimation.filter import Belief
 from aslip.estimation.packets import PacketMemory
@@ -20,12 +21,12 @@ class Tracking:
 
     belief: Belief
     packets: PacketMemory
-    angular_acceleration: np.ndarray
+    angular_acceleration: Array
     """(n, 3) change rate between the last two gyro readings [rad/s^2, pelvis]."""
-    heading: np.ndarray
+    heading: Array
     """(n,) yaw of the straight-ahead direction in the frame of the IMU's attitude [rad]."""
 
-    def to_rows(self) -> np.ndarray:
+    def to_rows(self) -> Array:
         """Convert the memory to an array (n, `tracking_size`)."""
         belief, packets = self.belief, self.packets
         fields = (
@@ -34,10 +35,11 @@ class Tracking:
             self.angular_acceleration, self.heading,
         )  # fmt: skip
         num = len(packets.reading)
-        return np.concatenate([field.reshape(num, -1) for field in fields], axis=1)
+        xp = namespace(packets.reading)
+        return xp.concatenate([field.reshape(num, -1) for field in fields], axis=1)
 
     @classmethod
-    def from_rows(cls, rows: np.ndarray, robot: Robot = CASSIE) -> Tracking:
+    def from_rows(cls, rows: Array, robot: Robot = CASSIE) -> Tracking:
         """Restore the memory from an array that `to_rows` returned; copies.
 
         Raises:
@@ -50,18 +52,23 @@ class Tracking:
         (
             mean, covariance, half_sole, loaded, resting, adrift, reading, jumps, repeats, age,
             angular_acceleration, heading,
-        ) = np.split(rows.copy(), np.cumsum(_sizes(robot))[:-1], axis=1)  # fmt: skip
+        ) = _split(copied(rows), _sizes(robot))  # fmt: skip
         belief = Belief(
-            mean=mean.reshape(num, 3, 5).copy(),
-            covariance=covariance.reshape(num, 3, 5, 5).copy(),
-            half_sole=half_sole.reshape(num, 2, 3).copy(),
+            mean=copied(mean.reshape(num, 3, 5)),
+            covariance=copied(covariance.reshape(num, 3, 5, 5)),
+            half_sole=copied(half_sole.reshape(num, 2, 3)),
             loaded=loaded != 0,
             resting=resting != 0,
-            adrift=adrift[:, 0].copy(),
-            innovation=np.full((num, 2, 3), np.nan),
+            adrift=copied(adrift[:, 0]),
+            innovation=half_sole.reshape(num, 2, 3) * math.nan,
         )
         packets = PacketMemory(reading, jumps[:, 0], repeats[:, 0], age)
         return cls(belief, packets, angular_acceleration, heading[:, 0])
+
+
+def _split(rows: Array, sizes: tuple[int, ...]) -> list[Array]:
+    ends = list(itertools.accumulate(sizes))
+    return [rows[:, end - size : end] for end, size in zip(ends, sizes, strict=True)]
 
 
 def tracking_size(robot: Robot = CASSIE) -> int:
@@ -82,56 +89,56 @@ class Estimate:
     ground where the pelvis was at the start.
     """
 
-    height: np.ndarray
+    height: Array
     """(n, 1) height of the pelvis above the ground [m]."""
-    orientation: np.ndarray
+    orientation: Array
     """(n, 4) pelvis to heading frame, unit, wxyz with w >= 0."""
-    velocity: np.ndarray
+    velocity: Array
     """(n, 3) velocity of the pelvis [m/s, heading frame]."""
-    angular_velocity: np.ndarray
+    angular_velocity: Array
     """(n, 3) angular velocity of the pelvis [rad/s, pelvis]."""
-    acceleration: np.ndarray
+    acceleration: Array
     """(n, 3) acceleration of the pelvis' origin, without gravity [m/s^2, pelvis]."""
-    motor_position: np.ndarray
+    motor_position: Array
     """(n, 10) angles of the driven joints [rad]."""
-    motor_velocity: np.ndarray
+    motor_velocity: Array
     """(n, 10) velocities of the driven joints [rad/s]."""
-    joint_position: np.ndarray
+    joint_position: Array
     """(n, 6) angles of the joints with encoders [rad]."""
-    joint_velocity: np.ndarray
+    joint_velocity: Array
     """(n, 6) velocities of the joints with encoders [rad/s]."""
-    position: np.ndarray
+    position: Array
     """(n, 3) position of the pelvis; z is `height` [m, heading frame]."""
-    sole: np.ndarray
+    sole: Array
     """(n, 2, 3) centres of the soles' axes relative to the pelvis [m, heading frame]."""
-    forward: np.ndarray
+    forward: Array
     """(n, 2, 3) unit vectors from heel to toes [heading frame]."""
-    left: np.ndarray
+    left: Array
     """(n, 2, 3) unit vectors to the left of the feet [heading frame]."""
     sole_radius: float
     """Radius of the soles' contact capsules [m]."""
-    contact: np.ndarray
+    contact: Array
     """(n, 2) bool, contact by the springs of the leg."""
-    innovation: np.ndarray
+    innovation: Array
     """(n, w, 2, 3) normalised innovation squared by packet, foot and axis; NaN without contact."""
-    resting: np.ndarray
+    resting: Array
     """(n, w, 2) bool, foot at rest: a measurement of the filter."""
-    faults: np.ndarray
+    faults: Array
     """(n, 4) bool, `FAULTS` of any packet of the window."""
 
     # computed on demand, to save time on a robot
     @cached_property
-    def up(self) -> np.ndarray:
+    def up(self) -> Array:
         """(n, 2, 3) unit vectors up from the soles [heading frame]."""
         return cross(self.forward, self.left)
 
     @cached_property
-    def foot_position(self) -> np.ndarray:
+    def foot_position(self) -> Array:
         """(n, 2, 3) sole centres [m, heading frame]."""
         return self.position[:, None] + self.sole - self.sole_radius * self.up
 
     @cached_property
-    def foot_orientation(self) -> np.ndarray:
+    def foot_orientation(self) -> Array:
         """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity if level with toes along x."""
-        frame = np.stack([self.forward, self.left, self.up], axis=-1)
+        frame = namespace(self.forward).stack([self.forward, self.left, self.up], axis=-1)
         return matrix_to_quaternion(frame)

@@ -207,9 +207,7 @@ class WarpSimulations:
             low.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
             self._ground, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
         )  # fmt: skip
-        self._launch(
-            low.orient_feet, (num, 2), self._feet, d.site_xmat, self.foot_orientation
-        )
+        self._launch(low.orient_feet, (num, 2), self._feet, d.site_xmat, self.foot_orientation)
 
     def arrays(self) -> dict[str, wp.array]:
         """Live arrays by name: inputs, and what packets and truth are made of."""

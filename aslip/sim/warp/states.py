@@ -26,9 +26,7 @@ def state_parts(model: mujoco.MjModel) -> dict[str, slice]:
     return parts
 
 
-def history_of_ring(
-    ring: np.ndarray, tick: np.ndarray, model: mujoco.MjModel
-) -> np.ndarray:
+def history_of_ring(ring: np.ndarray, tick: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
     """History (n, k) of commands, from rings (n, RING, m) and counts (n,) of physics steps."""
     samples = int(model.actuator_history[0, 0])
     ago = np.arange(samples, 0, -1)
@@ -42,9 +40,7 @@ def history_of_ring(
     return rows.reshape(len(tick), -1)
 
 
-def ring_of_history(
-    history: np.ndarray, tick: np.ndarray, model: mujoco.MjModel
-) -> np.ndarray:
+def ring_of_history(history: np.ndarray, tick: np.ndarray, model: mujoco.MjModel) -> np.ndarray:
     """Rings (n, RING, m) of histories (n, k) at counts (n,) of physics steps."""
     samples = int(model.actuator_history[0, 0])
     rows = history.reshape(len(tick), model.nu, 2 + 2 * samples)
