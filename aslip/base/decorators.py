@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Real
 from types import UnionType
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -19,22 +19,26 @@ from aslip.errors import ConfigurationError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
+_CPU: Final = torch.device("cpu")
+
+
 def on_cpu_in_single(function: Function) -> Function:
     """Make a function create tensors in single precision on the CPU, whatever torch's defaults are.
 
-    Another library of the same program may change `torch.set_default_dtype` and
-    `torch.set_default_device`. TorchRL's own tensors follow them, too, so that naming types and
-    devices in this package would not suffice.
+    A method of an object with a `place` creates them on that device. Another library of the same
+    program may change `torch.set_default_dtype` and `torch.set_default_device`. TorchRL's own
+    tensors follow them, too, so that naming types and devices in this package would not suffice.
     """
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> Any:
         kind, device = torch.get_default_dtype(), torch.get_default_device()
-        if kind == torch.float32 and device.type == "cpu":
+        place = getattr(args[0], "place", _CPU) if args else _CPU
+        if kind == torch.float32 and device == place:
             return function(*args, **kwargs)
         torch.set_default_dtype(torch.float32)
         try:
-            with torch.device("cpu"):
+            with place:
                 return function(*args, **kwargs)
         finally:
             torch.set_default_dtype(kind)

@@ -22,11 +22,13 @@ _EXTRAS = {
     "onnxscript": "export",
     "pydrake": "drake",
     "ray": "ray",
+    "mujoco_warp": "gpu",
     "rerun": "dev",
     "tensorboard": "train",
     "tqdm": "train",
     "tyro": "train",
     "viser": "live",
+    "warp": "gpu",
 }
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from copy import copy
+from copy import copy, deepcopy
 from inspect import signature
 from typing import Any, get_args
 
+import torch
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torch.nn.parameter import is_lazy
@@ -23,6 +24,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
+from aslip.transforms.base import SeededTransform
 
 
 @check_types
@@ -84,7 +86,10 @@ def make_env(
         robot = _make_simulator(backend, num_envs, **simulator)
     else:
         robot = _make_robot(base, num_envs, {"backend": backend, **simulator})
-    env = StackEnv(robot, {name: _copy(transform) for name, transform in chosen.items()})
+    copies = {name: _copy(transform) for name, transform in chosen.items()}
+    if robot.place.type != "cpu":
+        _move(copies, robot.place)
+    env = StackEnv(robot, copies)
     check_wiring(env)
     if keep is not None:
         _hide_others(env, [keep] if isinstance(keep, str) else list(keep))
@@ -103,6 +108,32 @@ def _copy(transform: Transform) -> Transform:
             vars(part).update({name: _own(value) for name, value in vars(part).items()})
             part._buffers = {name: _own(value) for name, value in part._buffers.items()}
     return copied
+
+
+def _move(transforms: Mapping[str, Transform], place: torch.device) -> None:
+    """Move transforms to a device, with a copy of what they share, such as gait libraries."""
+    shared: dict[int, Any] = {}
+    for transform in transforms.values():
+        for part in transform.modules():
+            if not isinstance(part, Transform):
+                continue
+            for name, child in part._modules.items():
+                if child is not None and not isinstance(child, Transform):
+                    moved = shared.get(id(child)) or deepcopy(child).to(place)
+                    part._modules[name] = shared[id(child)] = moved
+            vars(part).update({name: _moved(value, place) for name, value in vars(part).items()})
+            part._buffers = _moved(part._buffers, place)
+            if isinstance(part, SeededTransform):
+                part.move(place)
+
+
+def _moved(value: Any, place: torch.device) -> Any:
+    """Tensor, or list, tuple or dict of such, on a device; other values themselves."""
+    if isinstance(value, Tensor):
+        return value.to(place)
+    if type(value) is dict:
+        return {key: _moved(item, place) for key, item in value.items()}
+    return type(value)(_moved(v, place) for v in value) if type(value) in (list, tuple) else value
 
 
 def _own(value: Any) -> Any:

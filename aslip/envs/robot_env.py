@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from aslip.base.arrays import Array
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
@@ -44,11 +45,14 @@ class RobotEnv(EnvBase):
         command_size: size of a robot's `motor_target`; the number of motors by default.
     """
 
+    place = torch.device("cpu")
+    """Device of all entries."""
+
     @on_cpu_in_single
     def __init__(
         self, num_envs: int = 1, robot: Robot = CASSIE, command_size: int | None = None
     ) -> None:
-        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
+        super().__init__(device=self.place, batch_size=torch.Size([num_envs]))
         self.robot = robot
         self.command_size = len(robot.motor_names) if command_size is None else command_size
         """Size of a robot's `motor_target`."""
@@ -118,23 +122,33 @@ class RobotEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Do nothing: only transforms draw random numbers."""
 
-    def _robots_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
+    def _taken(self, value: Tensor) -> Array:
+        """Numbers of an entry for the robots, in double precision."""
+        return value.detach().double().numpy()
+
+    def _given(self, value: Array, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Entry with numbers of the robots, a copy."""
+        return torch.tensor(value, dtype=dtype)
+
+    def _robots_to_reset(self, tensordict: TensorDictBase | None) -> Array:
         """(k,) indices of the robots that the mask `_reset` names; all without a mask."""
         mask = None if tensordict is None else tensordict.get("_reset", None)
         return np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
 
-    def _checked_target(self, tensordict: TensorDictBase) -> np.ndarray:
+    def _checked_target(self, tensordict: TensorDictBase) -> Array:
         """(n, 10) motor targets in double precision.
 
         Raises:
             ShapeError: `motor_target` has the wrong shape.
         """
         expected = (*self.batch_size, self.command_size)
-        return checked_entry("motor_target", tensordict["motor_target"], expected, finite=False)
+        target = cast("Tensor", tensordict["motor_target"])
+        check_entry("motor_target", target, expected, finite=False)
+        return self._taken(target)
 
-    def _result(self, stopped: np.ndarray) -> TensorDict:
+    def _result(self, stopped: Array) -> TensorDict:
         """Entries after a step."""
-        terminated = torch.tensor(np.asarray(stopped, dtype=bool)[:, None])
+        terminated = self._given(stopped, torch.bool)[:, None]
         return TensorDict(
             {
                 **self._observation(stopped),
@@ -150,7 +164,7 @@ class RobotEnv(EnvBase):
         none = np.zeros(self.num_envs, dtype=bool)
         return TensorDict(self._observation(none), batch_size=self.batch_size)
 
-    def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
+    def _observation(self, stopped: Array) -> dict[str, dict[str, Tensor]]:
         """Groups of the observed entries.
 
         Raises:
@@ -161,10 +175,10 @@ class RobotEnv(EnvBase):
         for name, size in self.robot.packet_sizes.items():
             expected = (self.num_envs, self.robot.sensor_window, size)
             value = packets.get(name)
-            shape = None if value is None else np.shape(value)
+            shape = None if value is None else tuple(np.shape(value))
             if shape != expected:
                 raise ShapeError(f"packets of {name!r} must have shape {expected}, got {shape}")
-            sensors[name] = torch.tensor(value, dtype=torch.float32)
+            sensors[name] = self._given(value)
         return {"sensors": sensors}
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -180,10 +194,10 @@ class RobotEnv(EnvBase):
         )
 
 
-def checked_entry(
-    name: str, value: Any, expected: tuple[int, ...], *, finite: bool = True
-) -> np.ndarray:
-    """Entry of a tensordict in double precision.
+def check_entry(
+    name: str, value: Tensor, expected: tuple[int, ...], *, finite: bool = True
+) -> None:
+    """Check an entry of a tensordict.
 
     Raises:
         ShapeError: the entry has another shape than `expected`.
@@ -193,7 +207,6 @@ def checked_entry(
         raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
     if finite and not torch.isfinite(value).all():
         raise ConfigurationError(f"{name} must be finite, got {value.tolist()}")
-    return value.detach().double().numpy()
 
 
 def _refuse_requests(tensordict: TensorDictBase | None, keys: Sequence[str]) -> None:

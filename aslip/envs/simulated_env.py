@@ -37,9 +37,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
+from aslip.base.arrays import Array, is_numpy
 from aslip.base.checks import check_ids
 from aslip.base.decorators import on_cpu_in_single
-from aslip.envs.robot_env import RobotEnv, checked_entry
+from aslip.envs.robot_env import RobotEnv, check_entry
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
@@ -66,12 +67,13 @@ class SimulatedEnv(RobotEnv):
         command_size: int | None = None,
         drive: MakeDrive = PD,
     ) -> None:
+        self._places = robot.indices
         self.make_drive = drive
         """Low level that takes `motor_target`."""
         self.indices = robot.indices
-        self.divergences = 0
+        self.divergences: int | Array = 0
         """Number of simulations that diverged and were reset since construction."""
-        self._dynamics = Dynamics(num_envs, self.model, robot)
+        self._dynamics = Dynamics(num_envs, self.model, robot, self._arranged)
         self.altered = False
         """True once a robot has had other dynamics than `model`."""
         super().__init__(num_envs, robot, command_size)
@@ -79,7 +81,7 @@ class SimulatedEnv(RobotEnv):
     # --------------------------------------------- methods of a simulator
 
     @abstractmethod
-    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
+    def _advance(self, motor_target: Array, push: Array | None) -> Array:
         """Run one policy period; return (n,) bool, True where a simulation diverged.
 
         Args:
@@ -88,7 +90,7 @@ class SimulatedEnv(RobotEnv):
         """
 
     @abstractmethod
-    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
+    def _restart(self, ids: Array, qpos: Array | None, qvel: Array | None) -> None:
         """Restart (k,) simulations at `qpos` (k, 35) and `qvel` (k, 32), by default standing."""
 
     @abstractmethod
@@ -96,7 +98,7 @@ class SimulatedEnv(RobotEnv):
         """MuJoCo's arrays of all simulations, leading shape (n,)."""
 
     @abstractmethod
-    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+    def _write_fields(self, ids: Array, fields: Mapping[str, Array]) -> None:
         """Change fields (k, ...) of the models of (k,) robots."""
 
     @abstractmethod
@@ -138,18 +140,29 @@ class SimulatedEnv(RobotEnv):
     def watched(self) -> np.ndarray:
         """(60, 83) substeps of the watched robot's last policy step; see `Simulations.watched`."""
 
+    # for simulators whose arrays are not NumPy's
+
+    def _arranged(self, values: np.ndarray) -> Array:
+        """Array of the simulator's kind."""
+        return values
+
+    def _checked_ids(self, ids: Any) -> Array:
+        """(k,) robots that exist, sorted and unique."""
+        return check_ids(ids, self.num_envs)
+
     # --------------------------------------------------------------- dynamics
 
     @property
     def dynamics(self) -> dict[str, np.ndarray]:
         """(n,) copies of each parameter's values, by the names of `aslip.sim.DYNAMICS`."""
-        return {name: values.copy() for name, values in self._dynamics.values.items()}
+        return {name: _on_host(values) for name, values in self._dynamics.values.items()}
 
     @property
     def weight(self) -> np.ndarray:
         """(n,) weight of each robot normal to the floor [N], with mass, payload and slope."""
-        fields = self._dynamics.fields(np.arange(self.num_envs), ("mass", "payload", "slope"))
-        return -fields["body_mass"].sum(axis=1) * fields["opt.gravity"][:, 2]
+        everyone = self._arranged(np.arange(self.num_envs))
+        fields = self._dynamics.fields(everyone, ("mass", "payload", "slope"))
+        return -_on_host(fields["body_mass"]).sum(axis=1) * _on_host(fields["opt.gravity"])[:, 2]
 
     def set_dynamics(self, values: Mapping[str, ArrayLike], ids: np.ndarray | None = None) -> None:
         """Change the dynamics of robots from the next physics step on, also after resets.
@@ -167,13 +180,13 @@ class SimulatedEnv(RobotEnv):
             ConfigurationError: a robot does not exist or a value is outside its limits; all
                 dynamics stay as they are.
         """
-        everyone = np.arange(self.num_envs)
-        robots = everyone if ids is None else check_ids(ids, self.num_envs)
+        everyone = self._arranged(np.arange(self.num_envs))
+        robots = everyone if ids is None else self._checked_ids(ids)
         fields = self._dynamics.update(robots, values)
         if not fields:
             return
         self.altered = True
-        delay = float(fields.get("actuator_delay", np.zeros(1)).max())
+        delay = float(fields["actuator_delay"].max()) if "actuator_delay" in fields else 0.0
         if delay > longest_delay(self.model):
             model, states = self.model, self.states()
             self._lengthen_memory(delay)
@@ -206,16 +219,17 @@ class SimulatedEnv(RobotEnv):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         target, push = self._checked_target(tensordict), tensordict.get("push", None)
         if push is not None:
-            push = checked_entry("push", push, (*self.batch_size, 3))
+            check_entry("push", push, (*self.batch_size, 3))
+            push = self._taken(push)
         diverged = self._advance(target, push)
-        self.divergences += int(diverged.sum())
+        self.divergences = self.divergences + diverged.sum()
         return self._result(diverged)
 
     @on_cpu_in_single
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         del kwargs
         rows = self._robots_to_reset(tensordict)
-        initial: list[np.ndarray | None] = [None, None]
+        initial: list[Array | None] = [None, None]
         if tensordict is not None:
             start = reset_request(tensordict, "initial")
             for name in start.keys() - set(_DOUBLE):
@@ -223,34 +237,40 @@ class SimulatedEnv(RobotEnv):
             for i, name in enumerate(_DOUBLE):
                 if name in start:
                     expected = tuple(self.observation_spec["truth", name].shape)
-                    initial[i] = checked_entry(f"initial {name}", start[name], expected)[rows]
+                    check_entry(f"initial {name}", start[name], expected)
+                    initial[i] = self._taken(start[name])[rows]
             self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
         self._restart(rows, *initial)
         return self._start()
 
-    def _requested_dynamics(self, tensordict: TensorDictBase, rows: np.ndarray) -> dict[str, Any]:
+    def _requested_dynamics(self, tensordict: TensorDictBase, rows: Array) -> dict[str, Array]:
         """Parameter -> values (k,) of a reset request.
 
         Raises:
             ShapeError: values have the wrong shape.
         """
-        expected = (*self.batch_size, 1)
-        return {
-            name: checked_entry(name, value, expected, finite=False)[rows, 0]
-            for name, value in reset_request(tensordict, "dynamics").items()
-        }
+        requested = {}
+        for name, value in reset_request(tensordict, "dynamics").items():
+            check_entry(name, value, (*self.batch_size, 1), finite=False)
+            requested[name] = self._taken(value)[rows, 0]
+        return requested
 
-    def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
+    def _observation(self, stopped: Array) -> dict[str, dict[str, Tensor]]:
         return {**super()._observation(stopped), "truth": self._truth(stopped)}
 
-    def _truth(self, diverged: np.ndarray) -> dict[str, Tensor]:
+    def _truth(self, diverged: Array) -> dict[str, Tensor]:
         truth = {
-            key: torch.tensor(value, dtype=torch.float64 if key in _DOUBLE else torch.float32)
-            for key, value in true_state(self._snapshot(), self.indices).items()
+            key: self._given(value, torch.float64 if key in _DOUBLE else torch.float32)
+            for key, value in true_state(self._snapshot(), self._places).items()
         }
-        truth["diverged"] = torch.tensor(diverged[:, None])
-        truth["slope"] = torch.tensor(self._dynamics.values["slope"][:, None], dtype=torch.float32)
+        truth["diverged"] = self._given(diverged, torch.bool)[:, None]
+        truth["slope"] = self._given(self._dynamics.values["slope"])[:, None]
         return truth
+
+
+def _on_host(values: Array) -> np.ndarray:
+    """Copy of numbers of the robots."""
+    return values.copy() if is_numpy(values) else values.cpu().numpy().copy()
 
 
 def reset_request(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import numpy as np
+import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
@@ -56,8 +57,14 @@ class StackEnv(TransformedEnv):
 
     __reduce_ex__ = RobotEnv.__reduce_ex__
 
-    @on_cpu_in_single
+    place = torch.device("cpu")
+
     def __init__(self, env: RobotEnv, transforms: Mapping[str, Transform]) -> None:
+        self.place = env.place
+        self._build(env, transforms)
+
+    @on_cpu_in_single
+    def _build(self, env: RobotEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
-import warp as wp
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from aslip.base.checks import check_count
 from aslip.envs.batch import MAX_BATCH_ENVS
 from aslip.envs.simulated_env import SimulatedEnv
+from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
-from aslip.sim.warp.simulations import WarpSimulations
-from aslip.transforms.rotation import rotate_inverse, upper_hemisphere
+from aslip.sim import Snapshot
+from aslip.sim.dynamics import with_longer_memory
+from aslip.sim.warp import CONSTRAINTS, CONTACTS, WarpSimulations, check_device
+
+# share of policy steps in which contacts may overflow, and steps between looks at it
+_MOST_OVERFLOWS = 1e-3
+_LOOK_EVERY = 200
+# of `aslip.robot.Indices`
+_COLUMNS = ("motor_qpos", "motor_qvel", "joint_qpos", "joint_qvel", "foot_velocity")
 
 
 class WarpEnv(SimulatedEnv):
-    """N robots on MuJoCo Warp; see `SimulatedEnv` for the keys. No entry visits the host.
+    """N robots on MuJoCo Warp; see `SimulatedEnv` for the keys. Entries stay on the device.
+
+    States are single precision. The episode of a robot whose contacts or constraints overflow their
+    memory ends like that of one that diverged; `overflows` counts them.
 
     Args:
         num_envs: number of robots.
@@ -30,119 +41,111 @@ class WarpEnv(SimulatedEnv):
         floor_friction: sliding friction of the floor.
         timestep: physics timestep [s]; see `aslip.robot.model.load_model`.
         robot: the robot.
+        contacts: contacts of a robot for which there is memory.
+        constraints: constraint rows of a robot for which there is memory.
+
+    Raises:
+        ConfigurationError: a setting is wrong, the device does not exist, or its memory is too
+            small.
+        MissingExtraError: MuJoCo Warp is not installed.
     """
 
     def __init__(
         self,
         num_envs: int = 1,
         *,
-        device: str = "cuda",
+        device: str | torch.device = "cuda",
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
         timestep: float | None = None,
         robot: Robot = CASSIE,
+        contacts: int = CONTACTS,
+        constraints: int = CONSTRAINTS,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
-        self._model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
-        self.simulations = WarpSimulations(num_envs, self._model, device, robot)
-        sim = self.simulations
-        self._live: dict[str, Tensor] = {
-            name: wp.to_torch(array) for name, array in sim.arrays().items()
-        }
+        self.place = check_device(device)
+        model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
+        self.simulations = WarpSimulations(
+            num_envs, model, self.place, robot, contacts=contacts, constraints=constraints
+        )
+        self._steps = 0
         super().__init__(num_envs, robot)
+        self._places = dataclasses.replace(
+            robot.indices,
+            **{name: self._arranged(np.array(getattr(robot.indices, name))) for name in _COLUMNS},
+        )
 
     @property
     def model(self) -> mujoco.MjModel:
         """See `SimulatedEnv.model`; without visual geoms."""
-        return self._model
+        return self.simulations.model
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        live = self._live
-        live["target"].copy_(cast("Tensor", tensordict["motor_target"]))
-        push = tensordict.get("push", None)
-        live["push"].copy_(torch.zeros_like(live["push"]) if push is None else push)
-        self.simulations.advance()
-        return self._result(live["diverged"].clone())
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
-        del kwargs
-        live = self._live
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        live["restarted"].copy_(True if mask is None else mask[:, 0])
-        for name in ("qpos", "qvel"):
-            initial = None if tensordict is None else tensordict.get(("initial", name), None)
-            live[f"initial_{name}"].copy_(live[f"standing_{name}"] if initial is None else initial)
-        self.simulations.restart()
-        return self._start()
-
-    def _result(self, stopped: Any) -> TensorDict:
-        stopped = torch.as_tensor(stopped)[:, None]
-        zero = torch.zeros(stopped.shape, device=stopped.device)
-        entries = {**self._observation(stopped), "reward": zero}
-        entries |= {"terminated": stopped, "done": stopped.clone()}
-        return TensorDict(entries, batch_size=self.batch_size)
-
-    def _observation(self, stopped: Any) -> dict[str, dict[str, Tensor]]:
-        names = self.robot.packet_sizes
-        sensors = {name: self._live[f"sent_{name}"].clone() for name in names}
-        return {"sensors": sensors, "truth": self._truth(torch.as_tensor(stopped).reshape(-1, 1))}
-
-    def _truth(self, diverged: Any) -> dict[str, Tensor]:
-        live, at = self._live, self.indices
-        qpos, qvel = live["qpos"], live["qvel"]
-        orientation = upper_hemisphere(qpos[:, at.pelvis_orientation])
-        truth = {
-            "qpos": qpos.double(),
-            "qvel": qvel.double(),
-            "pelvis_position": qpos[:, at.pelvis_position].clone(),
-            "pelvis_orientation": orientation,
-            "pelvis_velocity": qvel[:, at.pelvis_velocity].clone(),
-            "pelvis_angular_velocity": qvel[:, at.pelvis_angular_velocity].clone(),
-            "pelvis_acceleration": rotate_inverse(orientation, live["acceleration"][:, :3]),
-            "motor_position": qpos[:, at.motor_qpos],
-            "motor_velocity": qvel[:, at.motor_qvel],
-            "joint_position": qpos[:, at.joint_qpos],
-            "joint_velocity": qvel[:, at.joint_qvel],
-            "motor_torque": live["torque"].clone(),
-            "motor_power": live["power"].clone(),
-            "ground_force": live["ground"].clone(),
-            "largest_force": live["largest"].clone(),
-        }
-        for i, foot in enumerate(("left_foot", "right_foot")):
-            truth[f"{foot}_position"] = live["site_xpos"][:, at.foot_site[i]].clone()
-            truth[f"{foot}_velocity"] = live["sensordata"][:, at.foot_velocity[i]]
-            truth[f"{foot}_orientation"] = upper_hemisphere(live["foot_orientation"][:, i])
-        truth["diverged"] = torch.as_tensor(diverged).reshape(-1, 1)
-        truth["slope"] = torch.zeros_like(qpos[:, :1])
-        return truth
-
-    # not yet
-    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
-        raise NotImplementedError
-
-    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
-        raise NotImplementedError
-
-    def _snapshot(self) -> Any:
-        raise NotImplementedError
-
-    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
-        raise NotImplementedError
-
-    def _lengthen_memory(self, delay: float) -> None:
-        raise NotImplementedError
-
-    def packets(self) -> Mapping[str, np.ndarray]:
-        raise NotImplementedError
+    @property
+    def overflows(self) -> int:
+        """Number of policy steps in which a robot's contacts overflowed since construction."""
+        return int(self.simulations.overflows.sum())
 
     def states(self) -> np.ndarray:
-        raise NotImplementedError
+        """See `SimulatedEnv.states`; they visit the host."""
+        return self.simulations.states()
 
     def set_states(self, states: np.ndarray) -> None:
-        raise NotImplementedError
+        """See `SimulatedEnv.set_states`."""
+        self.simulations.set_states(states)
 
     def watch(self, index: int | None) -> None:
-        raise NotImplementedError
+        """See `SimulatedEnv.watch`."""
+        self.simulations.watch(index)
 
     @property
     def watched(self) -> np.ndarray:
-        raise NotImplementedError
+        """See `SimulatedEnv.watched`."""
+        return self.simulations.watched
+
+    def packets(self) -> Mapping[str, Tensor]:
+        """See `RobotEnv.packets`; live tensors on the device."""
+        return self.simulations.packets
+
+    def _advance(self, motor_target: Tensor, push: Tensor | None) -> Tensor:
+        self._steps += 1
+        if self._steps % _LOOK_EVERY == 0 and self.overflows > _MOST_OVERFLOWS * (
+            self._steps * self.num_envs
+        ):
+            raise ConfigurationError(
+                f"contacts or constraints overflowed in {self.overflows} of"
+                f" {self._steps * self.num_envs} policy steps of robots: raise contacts (now"
+                f" {self.simulations.contacts}) and constraints (now"
+                f" {self.simulations.constraints}) of WarpEnv"
+            )
+        return self.simulations.advance(motor_target, push)
+
+    def _restart(self, ids: Tensor, qpos: Tensor | None, qvel: Tensor | None) -> None:
+        self.simulations.reset(ids, qpos, qvel)
+
+    def _snapshot(self) -> Snapshot:
+        return self.simulations.snapshot
+
+    def _write_fields(self, ids: Tensor, fields: Mapping[str, Tensor]) -> None:
+        self.simulations.write_fields(ids, fields)
+
+    def _lengthen_memory(self, delay: float) -> None:
+        # torques wait long enough; only the rows of `states` become longer
+        self.simulations.model = with_longer_memory(
+            self.model, delay, visual=False, robot=self.robot
+        )
+
+    def _taken(self, value: Tensor) -> Tensor:
+        return value.detach()
+
+    def _given(self, value: Any, dtype: torch.dtype = torch.float32) -> Tensor:
+        return torch.as_tensor(value, dtype=dtype, device=self.place).clone()
+
+    def _arranged(self, values: np.ndarray) -> Tensor:
+        return torch.tensor(values, device=self.place)
+
+    def _checked_ids(self, ids: Any) -> Tensor:
+        return ids if isinstance(ids, Tensor) else self._arranged(super()._checked_ids(ids))
+
+    def _robots_to_reset(self, tensordict: TensorDictBase | None) -> Tensor:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        everyone = torch.arange(self.num_envs, device=self.place)
+        return everyone if mask is None else everyone[mask.reshape(-1)]

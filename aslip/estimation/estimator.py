@@ -63,6 +63,8 @@ class StateEstimator:
         noise: FilterNoise | None = None,
         device: Any = None,
     ) -> None:
+        self.device = device
+        """Device of the packets; None for arrays."""
         place = np.asarray
         if device is not None:
             import torch  # arrays need none
@@ -70,6 +72,8 @@ class StateEstimator:
             place = functools.partial(torch.as_tensor, device=device)
         self.robot = robot
         """Robot that sends the packets."""
+        self.noise = noise or FilterNoise()
+        """Noise that the filter assumes."""
         self._at = robot.packet_slices
         self._screen = Screen(robot, place)
         self._legs = LegKinematics(robot, place)
@@ -77,7 +81,7 @@ class StateEstimator:
             robot.packet_period,
             self._legs.sole_radius,
             self._legs.half_length,
-            noise or FilterNoise(),
+            self.noise,
         )
         imu = np.array(robot.skeleton.sites[robot.imu_site].position)
         # alpha x imu = alpha @ arm
@@ -232,7 +236,7 @@ class StateEstimator:
             self._legs(motors[0] + sign * motors[1], joints[0] + sign * joints[1])
             for sign in (-1, 1)
         ]
-        soles = [foot[:, :, [HEEL, TOE]].mean(2) for foot in feet]
+        soles = [foot[:, :, HEEL : TOE + 1].mean(2) for foot in feet]
         velocity = (soles[1] - soles[0]) / (2 * _DIFFERENCE)
         gyro = reading[:, None, self._at["gyro"]]
         velocity += cross(gyro, (soles[0] + soles[1]) / 2)

@@ -38,14 +38,15 @@ class CommandGrid(nn.Module):
         ends = torch.tensor(np.array([[axis[i] for axis in axes] for i in (0, -1)]))
         self.register_buffer("_ends", ends, persistent=False)
         self._cut = False
-        self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
         if missing is not None and missing.any():
             self._cut = True
             self._axes, self._present = tuple(axes), ~missing.reshape([len(axis) for axis in axes])
-            self._cut_at_hull([axes[i] for i in self._wide], missing)
+            self._cut_at_hull(missing)
 
-    def _cut_at_hull(self, axes: Sequence[np.ndarray], missing: np.ndarray) -> None:
+    def _cut_at_hull(self, missing: np.ndarray) -> None:
         """Prepare the gauge of the hull, and the rows of motions and of corners around them."""
+        wide = [i for i, axis in enumerate(self._axes) if len(axis) > 1]
+        axes = [self._axes[i] for i in wide]
         mesh = np.meshgrid(*axes, indexing="ij")
         gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
         self._beyond = np.flatnonzero(reached_corners(axes, *gauge).ravel() & missing)
@@ -54,8 +55,10 @@ class CommandGrid(nn.Module):
             np.count_nonzero(~missing) + len(self._beyond)
         )
         centre = np.array([axis[0] for axis in self._axes])  # of axes of one value
-        centre[self._wide] = gauge[1]
-        for name, array in (("_normals", gauge[0]), ("_centre", centre), ("rows", rows)):
+        centre[wide] = gauge[1]
+        normals = np.zeros((len(gauge[0]), len(centre)))
+        normals[:, wide] = gauge[0]
+        for name, array in (("_normals", normals), ("_centre", centre), ("rows", rows)):
             self.register_buffer(name, torch.from_numpy(array.copy()), persistent=False)
 
     def fill(self, values: np.ndarray) -> np.ndarray:
@@ -73,7 +76,7 @@ class CommandGrid(nn.Module):
     def gauge(self, command: Tensor) -> Tensor:
         """Distance (*b, 1) of commands from the centre of a cut region, 1 at its border."""
         normals = self.get_buffer("_normals")
-        offset = (command.to(normals.dtype) - self.get_buffer("_centre"))[..., self._wide]
+        offset = command.to(normals.dtype) - self.get_buffer("_centre")
         return (offset @ normals.T).amax(-1, keepdim=True)
 
     def clamp(self, command: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
-"""Batched rotations of NumPy's arrays or torch's tensors: unit quaternions (..., 4) are wxyz, matrices are (..., 3, 3).
+"""Batched rotations of NumPy's arrays or torch's tensors.
 
+Unit quaternions (..., 4) are wxyz, matrices are (..., 3, 3).
 A rotation from a body to the world maps vectors from the body frame to the world frame.
 """
 

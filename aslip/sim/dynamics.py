@@ -5,14 +5,15 @@ The simulators write these fields, per simulation into `mujoco.batch` or into ea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aslip.base.arrays import Array, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
@@ -29,29 +30,38 @@ class Dynamics:
         num: number of robots n.
         model: compiled model with the nominal values.
         robot: robot of the model; gives the gains.
+        arranged: what makes numbers arrays of the simulator's kind.
     """
 
-    def __init__(self, num: int, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
+    def __init__(
+        self,
+        num: int,
+        model: mujoco.MjModel,
+        robot: Robot = CASSIE,
+        arranged: Callable[[np.ndarray], Array] = np.asarray,
+    ) -> None:
         names = sorted({field for parameter in DYNAMICS.values() for field in parameter.fields})
         gains = {f"{DRIVE}stiffness": robot.stiffness, f"{DRIVE}damping": robot.damping}
-        self._default = {
+        default = {
             name: gains[name] if name in gains else model_field(model, name).copy()
             for name in names
         }
+        self._arranged = arranged
+        self._default = {name: arranged(value) for name, value in default.items()}
         self._timestep = model.opt.timestep
         self._floor, self._pelvis = model.geom("floor").id, model.body(robot.pelvis).id
         nominal = dict.fromkeys(DYNAMICS, 1.0) | {
             "payload": 0.0,
-            "floor_friction": float(self._default["geom_friction"][self._floor, 0]),
-            "torque_delay": float(self._default["actuator_delay"][0]),
+            "floor_friction": float(default["geom_friction"][self._floor, 0]),
+            "torque_delay": float(default["actuator_delay"][0]),
             "slope": 0.0,
         }
         self.nominal: Mapping[str, float] = MappingProxyType(nominal)
         """Parameter -> value of the model."""
-        self.values = {name: np.full(num, value) for name, value in nominal.items()}
+        self.values = {name: arranged(np.full(num, value)) for name, value in nominal.items()}
         """Parameter -> values (n,)."""
 
-    def update(self, ids: np.ndarray, values: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    def update(self, ids: Array, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """Change some parameters of some robots.
 
         A value that equals the nominal one in single precision becomes the nominal one.
@@ -75,17 +85,16 @@ class Dynamics:
             self.values[name][ids] = checked[name]
         return self.fields(ids, changed)
 
-    def fields(
-        self, ids: np.ndarray, parameters: Iterable[str] = DYNAMICS
-    ) -> dict[str, np.ndarray]:
+    def fields(self, ids: Array, parameters: Iterable[str] = DYNAMICS) -> dict[str, Array]:
         """Field of the model -> (k, ...), for fields that depend on some parameters."""
         names = {field for parameter in parameters for field in DYNAMICS[parameter].fields}
         of = {name: values[ids] for name, values in self.values.items()}
         return {name: self._field(name, of, len(ids)) for name in sorted(names)}
 
-    def _field(self, name: str, of: Mapping[str, np.ndarray], num: int) -> np.ndarray:
+    def _field(self, name: str, of: Mapping[str, Array], num: int) -> Array:
         default = self._default[name]
-        rows = np.broadcast_to(default, (num, *default.shape)).copy()
+        xp = namespace(default)
+        rows = copied(xp.broadcast_to(default, (num, *default.shape)))
         if name in _SCALED_BY:
             rows *= of[_SCALED_BY[name]].reshape(num, *[1] * default.ndim)
         if name == "body_mass":
@@ -98,32 +107,41 @@ class Dynamics:
         elif name == "actuator_delay":
             rows[:] = of["torque_delay"][:, None]
         elif name == "opt.gravity":
-            rows[:, 0] = default[2] * np.sin(of["slope"])
-            rows[:, 2] *= np.cos(of["slope"])
+            rows[:, 0] = default[2] * xp.sin(of["slope"])
+            rows[:, 2] *= xp.cos(of["slope"])
         return rows
 
-    def _checked(self, name: str, ids: np.ndarray, given: ArrayLike) -> np.ndarray:
+    def _checked(self, name: str, ids: Array, given: Any) -> Array:
         parameter = parameter_named(name)
-        value = np.asarray(given)
-        if value.shape not in ((), ids.shape):
+        value = given if hasattr(given, "device") else np.asarray(given)
+        if tuple(value.shape) not in ((), tuple(ids.shape)):
             raise ShapeError(
                 f"{name} must be one number or have shape {ids.shape}, got shape {value.shape}"
             )
-        value = np.broadcast_to(value.astype(np.float64), ids.shape).copy()
-        with np.errstate(over="ignore"):  # overflow is beyond all limits
-            single, low, high = (np.float32(x) for x in (value, parameter.low, parameter.high))
+        value = self._arranged(value.astype(np.float64)) if is_numpy(value) else value.double()
+        xp = namespace(value)
+        value = copied(xp.broadcast_to(value, ids.shape))
+        low, high, nominal = (
+            np.float32(x) for x in (parameter.low, parameter.high, self.nominal[name])
+        )
+        single = _single(value)
         wrong = ~((single >= low) & (single <= high))
         if wrong.any():
-            first = int(np.flatnonzero(wrong)[0])
+            first = int(wrong.nonzero()[0][0])
             raise ConfigurationError(
                 f"{name} of robot {ids[first]} must be from {parameter.low:g} to"
                 f" {parameter.high:g} ({parameter.meaning}), got {value[first]:g}"
             )
         if name == "torque_delay":
-            value = np.rint(value / self._timestep) * self._timestep
-        nominal = self.nominal[name]
-        value[np.float32(value) == np.float32(nominal)] = nominal
-        return value
+            value = xp.round(value / self._timestep) * self._timestep
+        return xp.where(_single(value) == nominal, self.nominal[name], value)
+
+
+# overflow is beyond all limits
+@np.errstate(over="ignore")
+def _single(value: Array) -> Array:
+    """Numbers in single precision."""
+    return value.astype(np.float32) if is_numpy(value) else value.float()
 
 
 _SCALED_BY = {

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from aslip.base.arrays import Array
 from aslip.robot import Indices
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse, upper_hemisphere
 
@@ -17,25 +18,25 @@ from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse, upper_hem
 class Snapshot:
     """Arrays of the simulator that determine the true state."""
 
-    qpos: np.ndarray
+    qpos: Array
     """(*b, 35) generalised positions; free joint first, quaternion wxyz."""
-    qvel: np.ndarray
+    qvel: Array
     """(*b, 32) generalised velocities; linear in the world, angular in the pelvis frame."""
-    qacc: np.ndarray
+    qacc: Array
     """(*b, 32) generalised accelerations, in the frames of `qvel`."""
-    site_xpos: np.ndarray
+    site_xpos: Array
     """(*b, 3, 3) positions of the sites in the world [m]."""
-    site_xmat: np.ndarray
+    site_xmat: Array
     """(*b, 3, 9) site-to-world rotations, row-major."""
-    sensordata: np.ndarray
+    sensordata: Array
     """(*b, k) readings of MuJoCo's sensors."""
-    ground_force: np.ndarray
+    ground_force: Array
     """(*b, 2, 3) force of the floor on each foot, mean over the last policy period [N, world]."""
-    qfrc_actuator: np.ndarray
+    qfrc_actuator: Array
     """(*b, 32) torques of the motors at the joints, in the order of `qvel`."""
-    motor_power: np.ndarray
+    motor_power: Array
     """(*b, 10) positive mechanical power of the motors, mean over the last policy period [W]."""
-    largest_force: np.ndarray
+    largest_force: Array
     """(*b, 2) largest vertical force of the floor on each foot in a physics step of the last
     policy period [N]."""
 
@@ -95,7 +96,7 @@ class PeriodLoads:
         self.motor_power /= steps
 
 
-def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
+def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, Array]:
     """Compute the named quantities of the true state.
 
     Args:

@@ -113,7 +113,7 @@ def _robots(env: RobotEnv) -> dict[str, Any]:
         "dynamics": {name: torch.from_numpy(values) for name, values in env.dynamics.items()},
         # longest torque delay that the model allows [s]; it never decreases
         "memory": longest_delay(env.model),
-        "divergences": env.divergences,
+        "divergences": int(env.divergences),
     }
 
 

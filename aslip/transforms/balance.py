@@ -87,7 +87,7 @@ def _sole_ends(motor_position: Tensor, joint_position: Tensor) -> Tensor:
 
     It is `LegKinematics` in PyTorch, which exporters can trace.
     """
-    at = _constants()
+    at = _constants(motor_position.device)
     motors = motor_position.unflatten(-1, (2, 5))
     joints = joint_position.unflatten(-1, (2, 3))
     # of the hinges of the leg's plane; the foot's angle is that of its motor
@@ -133,12 +133,13 @@ class _Constants(NamedTuple):
 
 
 @cache
-def _constants() -> _Constants:
+def _constants(place: torch.device) -> _Constants:
     chains = leg_chains(CASSIE)
 
     def both(name: str) -> Tensor:
         values = torch.from_numpy(np.stack([getattr(chain, name) for chain in chains]))
-        return (torch.view_as_real(values) if values.is_complex() else values).float()
+        values = torch.view_as_real(values) if values.is_complex() else values
+        return values.float().to(place)
 
     values = {name: both(name) for name in _Constants._fields}
     return _Constants(**{**values, "depth": values["depth"][..., None]})

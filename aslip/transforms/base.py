@@ -37,6 +37,8 @@ class SeededTransform(Transform):
         out_keys: entries that the transform writes.
     """
 
+    place = torch.device("cpu")
+    """Device of the entries."""
     needs_env: ClassVar[str] = ""
     """Reason why the class acts in environments only; empty if it does not."""
 
@@ -60,6 +62,12 @@ class SeededTransform(Transform):
     def set_seed(self, seed: int) -> None:
         """Restart the transform's own random numbers."""
         self.generator.manual_seed(seed)
+
+    def move(self, place: torch.device) -> None:
+        """Act on another device from now on, with random numbers of its own."""
+        self.place = place
+        self.generator = torch.Generator(place)
+        self.set_seed(self.generator.seed())
 
     @on_cpu_in_single
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

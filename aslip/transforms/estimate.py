@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
+from aslip.base.arrays import Array, is_numpy
 from aslip.estimation import FAULTS, Estimate, StateEstimator, Tracking, tracking_size
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
@@ -139,9 +139,15 @@ class EstimatedState(_Estimator):
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
 
+    def move(self, place: torch.device) -> None:
+        """See `SeededTransform.move`."""
+        super().move(place)
+        own = self.estimator
+        self.estimator = StateEstimator(own.robot, own.noise, device=place)
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
-        tracking = Tracking.from_rows(memory.numpy())
+        tracking = Tracking.from_rows(self._taken(memory))
         origin = None
         if self._command_key is not None:
             before = tensordict.get("heading", None)
@@ -150,8 +156,8 @@ class EstimatedState(_Estimator):
             origin = follow_path(tracking, past, command, before)
         heading = next_tensordict.get("heading", None)
         if heading is not None:
-            tracking.heading = heading[:, 0].double().numpy()
-        estimate = self.estimator.update(tracking, self._packets(next_tensordict))
+            tracking.heading = self._taken(heading[:, 0])
+        estimate = self.estimator.update(tracking, self._taken(self._joined(next_tensordict)))
         mode = None if self._mode_key is None else cast("Tensor", next_tensordict[self._mode_key])
         entries = estimate_entries(tracking, estimate, origin, mode)
         return next_tensordict.update(self._grouped(entries))
@@ -161,15 +167,15 @@ class EstimatedState(_Estimator):
     ) -> TensorDictBase:
         # TorchRL uses only the rows of reset robots, so the others are not started
         rows = reset_rows(tensordict)
-        packets = self._packets(tensordict_reset)
+        packets = self._joined(tensordict_reset)
         heading = tensordict_reset.get("heading", None)
         if rows is not None:
-            packets = packets[rows.numpy()]
+            packets = packets[rows]
             heading = None if heading is None else heading[rows]
         if heading is not None:
-            heading = heading.double().numpy()
+            heading = self._taken(heading)
         origin = torch.zeros(len(packets), 3) if self._path else None
-        tracking, estimate = self.estimator.start(packets, heading)
+        tracking, estimate = self.estimator.start(self._taken(packets), heading)
         started = self._grouped(estimate_entries(tracking, estimate, origin))
         if rows is None:
             return tensordict_reset.update(started)
@@ -185,10 +191,13 @@ class EstimatedState(_Estimator):
             grouped.set(key, TensorDict(dict(group), batch_size=[num]))
         return grouped
 
-    def _packets(self, tensordict: TensorDictBase) -> np.ndarray:
+    def _joined(self, tensordict: TensorDictBase) -> Tensor:
         """Packets (n, w, p) of the sensors."""
-        entries = [cast("torch.Tensor", tensordict[key]) for key in self.in_keys]
-        return torch.cat(entries, dim=-1).double().numpy()
+        return torch.cat([cast("Tensor", tensordict[key]) for key in self.in_keys], dim=-1)
+
+    def _taken(self, value: Tensor) -> Array:
+        """Numbers for the estimator, in double precision."""
+        return value.double() if self.estimator.device else value.double().numpy()
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""
@@ -221,10 +230,12 @@ def follow_path(
     Returns:
         (n, 3) origin after the step.
     """
-    before = torch.from_numpy(tracking.heading)[:, None] if heading is None else heading
+    arrays = is_numpy(tracking.heading)
+    before = torch.as_tensor(tracking.heading)[:, None] if heading is None else heading
     origin, error = (cast("Tensor", past[name]) for name in PATH_SIZES)
     origin, after = advance_frame(origin, before.float(), command, error)
-    tracking.heading = after[:, 0].double().numpy()
+    turned = after[:, 0].double()
+    tracking.heading = turned.numpy() if arrays else turned
     return origin
 
 
@@ -256,17 +267,22 @@ def estimate_entries(
         "odometry": odometry,
     }
     entries = {
-        group: {name: torch.tensor(value, dtype=torch.float32) for name, value in values.items()}
+        group: {name: _entry(value, torch.float32) for name, value in values.items()}
         for group, values in single.items()
     }
     if origin is not None:
         entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode)
     entries["estimator"] = {
-        "memory": torch.from_numpy(tracking.to_rows()),
-        "faults": torch.from_numpy(estimate.faults),
-        "contact": torch.tensor(estimate.contact),
+        "memory": torch.as_tensor(tracking.to_rows()),
+        "faults": torch.as_tensor(estimate.faults),
+        "contact": _entry(estimate.contact, torch.bool),
     }
     return entries
+
+
+def _entry(value: Array, dtype: torch.dtype) -> Tensor:
+    """Copy of an estimate."""
+    return torch.tensor(value, dtype=dtype) if is_numpy(value) else value.to(dtype, copy=True)
 
 
 def _along_path(
@@ -276,7 +292,7 @@ def _along_path(
     mode: Tensor | None,
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
-    heading = torch.from_numpy(tracking.heading)[:, None].float()
+    heading = torch.as_tensor(tracking.heading)[:, None].float()
     shift = rotate_about_vertical(origin, -heading)
     moved = {
         name: value - shift if name.endswith("_position") else value

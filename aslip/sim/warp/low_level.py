@@ -9,11 +9,11 @@ torques wait in a ring here.
 
 from __future__ import annotations
 
-from types import FunctionType
-from typing import Any, Final
+from typing import Final
 
 import warp as wp
 
+from aslip.base.warp import device_function
 from aslip.sim.drive import motor_limit
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS, filter_step
 
@@ -27,21 +27,11 @@ _taps = wp.types.vector(length=TAPS, dtype=wp.int32)
 _OLDEST_FIRST = wp.constant(_taps(*(int(tap) for tap in MOTOR_VELOCITY_TAPS[::-1])))
 
 
-def typed(function: Any, **kinds: Any) -> Any:
-    """Function of Warp with the code of a function of the CPU, and types of its arguments."""
-    function = getattr(function, "py_func", function)  # what Numba compiled
-    copied = FunctionType(function.__code__, function.__globals__, function.__name__)
-    copied.__annotations__ = kinds
-    return wp.func(copied)
-
-
-_limit = typed(motor_limit, torque=float, velocity=float, slope=float, most=float)
-_filter = typed(
+_Doubles = wp.array[wp.float64]
+_limit = device_function(motor_limit, dict.fromkeys(("torque", "velocity", "slope", "most"), float))
+_filter = device_function(
     filter_step,
-    numerator=wp.array[wp.float64],
-    denominator=wp.array[wp.float64],
-    memory=wp.array[wp.float64],
-    value=wp.float64,
+    dict.fromkeys(("numerator", "denominator", "memory"), _Doubles) | {"value": wp.float64},
 )
 
 
@@ -98,7 +88,7 @@ class Inertial:
     sent_gyro: wp.array3d[float]
     sent_force: wp.array3d[float]
     acceleration: wp.array2d[float]  # (n, 6) of the pelvis, of the last physics step
-    torque: wp.array2d[float]  # (n, m) of the last physics step, at the joints
+    torque: wp.array2d[float]  # (n, v) of the last physics step, at the joints
     ground: wp.array3d[float]  # (n, 2, 3)
     largest: wp.array2d[float]  # (n, 2)
     power: wp.array2d[float]  # (n, m)
@@ -114,7 +104,7 @@ def _shaft_torque(motors: Motors, i: int, j: int):
 @wp.func
 def _read_motor(motors: Motors, i: int, j: int, angle: float, packet: int):
     counted = wp.trunc(angle / motors.step[j])
-    total = int(0)
+    total = wp.int32(0)
     # differences to the newest count, as the taps' sum is zero: whole counts would overflow
     for k in range(_TAPS - 1):
         older = motors.count[i, k + 1, j]
@@ -255,7 +245,7 @@ def weigh(
     for j in range(motors.qvel.shape[0]):
         torque = qfrc_actuator[i, motors.qvel[j]]
         power = wp.max(torque * qvel[i, motors.qvel[j]], 0.0)
-        inertial.torque[i, j] = torque
+        inertial.torque[i, motors.qvel[j]] = torque
         inertial.power[i, j] = kept * inertial.power[i, j] + share * power
     for k in range(6):
         inertial.acceleration[i, k] = qacc[i, k]
@@ -279,7 +269,7 @@ def settle_motors(
         motors.count[i, k, j] = int(wp.trunc(angle / motors.step[j]))
     # the last reading again, from the counts
     newest = motors.count[i, _TAPS - 1, j]
-    total = int(0)
+    total = wp.int32(0)
     for k in range(_TAPS):
         total += _OLDEST_FIRST[k] * (motors.count[i, k, j] - newest)
     motors.position[i, j] = float(newest) * motors.step[j]
@@ -344,7 +334,7 @@ def settle_inertial(
             inertial.ground[i, foot, k] = sensordata[i, ground_force[foot, k]]
         inertial.largest[i, foot] = inertial.ground[i, foot, 2]
     for j in range(motors.qvel.shape[0]):
-        inertial.torque[i, j] = qfrc_actuator[i, motors.qvel[j]]
+        inertial.torque[i, motors.qvel[j]] = qfrc_actuator[i, motors.qvel[j]]
         inertial.power[i, j] = 0.0
     for k in range(6):
         inertial.acceleration[i, k] = qacc[i, k]
@@ -390,9 +380,9 @@ def find_diverged(
     overflow: wp.array[int],
     largest: float,
     diverged: wp.array[wp.bool],
-    overflowed: wp.array[wp.bool],
+    overflows: wp.array[int],
 ):
-    """Mark robots whose state is not finite or beyond MuJoCo's limit, or whose contacts overflow."""
+    """Mark robots whose state is not finite or too large, or whose contacts overflow."""
     i = wp.tid()
     # not (x <= y) holds for NaN, too
     bad = bool(False)
@@ -402,7 +392,8 @@ def find_diverged(
     for k in range(qvel.shape[1]):
         if not (wp.abs(qvel[i, k]) <= largest and wp.abs(qacc[i, k]) <= largest):
             bad = True
-    overflowed[i] = overflow[i] != 0
+    if overflow[i] != 0:
+        overflows[i] += 1
     diverged[i] = bad or overflow[i] != 0
 
 
@@ -414,12 +405,29 @@ def push_pelvis(push: wp.array2d[float], pelvis: int, xfrc: wp.array2d[wp.spatia
 
 
 @wp.kernel
-def orient_feet(
-    feet: wp.array[int], site_xmat: wp.array2d[wp.mat33], orientation: wp.array3d[float]
+def record(
+    robot: wp.array[int],
+    places: wp.array2d[int],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+    torque: wp.array2d[float],
+    sensordata: wp.array2d[float],
+    substep: int,
+    watched: wp.array2d[float],
 ):
-    """Write the orientations of the soles, wxyz."""
-    i, foot = wp.tid()
-    q = wp.quat_from_matrix(site_xmat[i, feet[foot]])
-    orientation[i, foot, 0] = q[3]
-    for k in range(3):
-        orientation[i, foot, k + 1] = q[k]
+    """Write numbers of the watched robot, from arrays and columns of `places`; -1 is nobody."""
+    k = wp.tid()
+    i = robot[0]
+    if i < 0:
+        return
+    array, column = places[k, 0], places[k, 1]
+    value = float(0.0)
+    if array == 0:
+        value = qpos[i, column]
+    elif array == 1:
+        value = qvel[i, column]
+    elif array == 2:
+        value = torque[i, column]
+    else:
+        value = sensordata[i, column]
+    watched[substep, k] = value

@@ -1,60 +1,101 @@
 """N simulations of a robot and its low level on one device, on MuJoCo Warp.
 
 One graph holds a whole policy period, 60 substeps of drive, delay, physics and sensors, and the
-restart of robots that diverged; a launch replays it. States are single precision.
+restart of robots that diverged; a launch replays it. States are single precision. Tensors of
+results are live views of the arrays on the device.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import replace
 from typing import Any, Final
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
+import torch
 import warp as wp
+from torch import Tensor
 
 from aslip.base.checks import check_states
+from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
-from aslip.sim.sensors import JOINT_VELOCITY_FILTER, filter_start
+from aslip.robot.model import check_timestep
+from aslip.sim.dynamics import DERIVING_FIELDS
+from aslip.sim.parameters import DYNAMICS
+from aslip.sim.sensors import filter_start
+from aslip.sim.simulations import watched_size
+from aslip.sim.truth import Snapshot
 from aslip.sim.warp import low_level as low
 from aslip.sim.warp.states import history_of_ring, ring_of_history, state_parts
 
 CONTACTS: Final = 24
-"""Contacts for which there is memory, per robot."""
+"""Contacts of a robot for which there is memory, by default."""
 CONSTRAINTS: Final = 96
-"""Constraint rows for which there is memory, per robot."""
+"""Constraint rows of a robot for which there is memory, by default."""
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 # beyond, MuJoCo resets a simulation
 _LARGEST = 1e10
+# fields that MuJoCo derives from those of `DYNAMICS`
+_DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
+# parameters of the low level, which are not Warp's
+_OWN = {"drive.stiffness": "stiffness", "drive.damping": "damping", "actuator_delay": "delay"}
 
 
 class WarpSimulations:
     """Batch of `num` simulations on a device, initially standing.
 
-    Arrays live on the device, and each call changes them in place.
-
     Args:
         num: number of simulations.
         model: compiled model of the robot.
-        device: Warp's name of the device, such as "cuda:0" or "cpu".
+        place: device.
         robot: robot of the model.
+        contacts: contacts of a robot for which there is memory.
+        constraints: constraint rows of a robot for which there is memory.
+
+    Raises:
+        ConfigurationError: the model's timestep is not one of
+            `aslip.robot.model.physics_timesteps`, or the device has too little memory.
     """
 
     def __init__(
-        self, num: int, model: mujoco.MjModel, device: str = "cpu", robot: Robot = CASSIE
+        self,
+        num: int,
+        model: mujoco.MjModel,
+        place: torch.device,
+        robot: Robot = CASSIE,
+        *,
+        contacts: int = CONTACTS,
+        constraints: int = CONSTRAINTS,
     ) -> None:
-        self.num, self.model, self.robot, self.device = num, model, robot, device
+        check_timestep(model.opt.timestep, robot)
+        self.num, self.model, self.robot, self.place = num, model, robot, place
+        self.contacts, self.constraints = contacts, constraints
         self._stride = round(model.opt.timestep / robot.physics_timestep)
-        with wp.ScopedDevice(device):
-            undelayed = _without_delay(model)
-            self.m = mjw.put_model(undelayed)
-            self.d = mjw.make_data(undelayed, nworld=num, nconmax=CONTACTS, njmax=CONSTRAINTS)
-            self._make_arrays(num)
-            self._capture()
-        self.reset()
+        wp.init()
+        self._device = wp.device_from_torch(place)
+        try:
+            with wp.ScopedDevice(self._device):
+                self._make_arrays(num)
+                self._make_tensors()
+                self._capture()
+        except RuntimeError as error:
+            if "memory" not in str(error) and "alloc" not in str(error):
+                raise
+            raise ConfigurationError(
+                f"{place} has too little memory for {num} robots ({error}): take fewer"
+            ) from error
+        self.reset(torch.arange(num, device=place))
 
     def _make_arrays(self, num: int) -> None:
+        undelayed = _without_delay(self.model)
+        fields = {f for p in DYNAMICS.values() for f in p.fields} - _OWN.keys()
+        batched = dict.fromkeys((*fields - {"opt.gravity"}, *_DERIVED), num)
+        self.m = mjw.put_model(undelayed, batch_sizes=batched)
+        self.m.opt.gravity = wp.array(np.tile(self.model.opt.gravity, (num, 1)), dtype=wp.vec3)
+        self.d = mjw.make_data(undelayed, nworld=num, nconmax=self.contacts, njmax=self.constraints)
         robot, at = self.robot, self.robot.indices
         motors, joints = len(robot.motor_names), len(robot.joint_names)
         packets = robot.sensor_window
@@ -107,7 +148,7 @@ class WarpSimulations:
             sent_gyro=sent(3),
             sent_force=sent(3),
             acceleration=np.zeros((num, 6)),
-            torque=np.zeros((num, motors)),
+            torque=np.zeros((num, at.num_qvel)),
             ground=np.zeros((num, 2, 3)),
             largest=np.zeros((num, 2)),
             power=np.zeros((num, motors)),
@@ -117,17 +158,59 @@ class WarpSimulations:
         self._standing = [wp.array(x[None], dtype=float) for x in (key.qpos, key.qvel)]
         self.initial = [wp.zeros((num, x.shape[1]), dtype=float) for x in self._standing]
         self._push = wp.zeros((num, 3), dtype=float)
-        self._feet = wp.array(at.foot_site.astype(np.int32), dtype=int)
-        self.foot_orientation = wp.zeros((num, 2, 4), dtype=float)
         self.restarted = wp.zeros(num, dtype=bool)
         self.diverged = wp.zeros(num, dtype=bool)
-        self.overflowed = wp.zeros(num, dtype=bool)
+        self._overflows = wp.zeros(num, dtype=int)
+        self._robot_watched = wp.full(1, -1, dtype=int)
+        self._watched = wp.zeros((robot.substeps, watched_size(self.model)), dtype=float)
+        columns = (np.arange(at.num_qpos), np.arange(at.num_qvel), at.motor_qvel, at.ground_force)
+        places = [np.stack([0 * c.ravel() + i, c.ravel()], axis=1) for i, c in enumerate(columns)]
+        self._columns = wp.array(np.concatenate(places), dtype=int)
+
+    def _make_tensors(self) -> None:
+        """Tensors that share the memory of arrays."""
+        d, motors, joints, inertial = self.d, self.motors, self.joints, self.inertial
+        live = {
+            "target": motors.target,
+            "push": self._push,
+            "restarted": self.restarted,
+            "diverged": self.diverged,
+            "overflows": self._overflows,
+            "initial_qpos": self.initial[0],
+            "initial_qvel": self.initial[1],
+        }
+        self._live = {name: wp.to_torch(array) for name, array in live.items()}
+        self._standing_state = [wp.to_torch(array) for array in self._standing]
+        sent = {
+            "motor_position": motors.sent_position,
+            "motor_velocity": motors.sent_velocity,
+            "joint_position": joints.sent_position,
+            "joint_velocity": joints.sent_velocity,
+            "orientation": inertial.sent_orientation,
+            "gyro": inertial.sent_gyro,
+            "accelerometer": inertial.sent_force,
+        }
+        self.packets: Mapping[str, Tensor] = {
+            name: wp.to_torch(sent[name]) for name in self.robot.packet_sizes
+        }
+        """Packets of the last policy period."""
+        state = (
+            d.qpos, d.qvel, inertial.acceleration, d.site_xpos, d.site_xmat, d.sensordata,
+            inertial.ground, inertial.torque, inertial.power, inertial.largest,
+        )  # fmt: skip
+        snapshot = Snapshot(*(wp.to_torch(array) for array in state))
+        self.snapshot = replace(snapshot, site_xmat=snapshot.site_xmat.flatten(-2))
+        """Live tensors of the true state; `qacc` has the pelvis' only."""
+        fields = {f for p in DYNAMICS.values() for f in p.fields} - _OWN.keys()
+        own = {name: wp.to_torch(getattr(motors, of)) for name, of in _OWN.items()}
+        self._fields = {name: wp.to_torch(_field(self.m, name)) for name in fields} | own
 
     def _capture(self) -> None:
         """Record the graphs; kernels are compiled before, as a capture cannot load modules."""
         self._graphs = {}
         runs: dict[str, Callable[[], None]] = {
             "period": self._period,
+            "derive": lambda: mjw.set_const(self.m, self.d, restore=False),
             "restart": lambda: self._restart(self.restarted, self.initial),
         }
         for name, run in runs.items():
@@ -137,7 +220,7 @@ class WarpSimulations:
             self._graphs[name] = capture.graph
 
     def _launch(self, kernel: Any, dim: Any, *inputs: Any) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
 
     def _period(self) -> None:
         """All substeps of a policy period, and the restart of robots that diverged."""
@@ -148,7 +231,7 @@ class WarpSimulations:
         d = self.d
         self._launch(
             low.find_diverged, self.num, d.qpos, d.qvel, d.qacc, d.overflow, _LARGEST,
-            self.diverged, self.overflowed,
+            self.diverged, self._overflows,
         )  # fmt: skip
         self._restart(self.diverged, self._standing)
 
@@ -186,6 +269,10 @@ class WarpSimulations:
             low.weigh, num, self.motors, self.inertial, self._ground, d.sensordata,
             d.qfrc_actuator, d.qvel, d.qacc, int(first == 0), self._stride / self.robot.substeps,
         )  # fmt: skip
+        self._launch(
+            low.record, self._columns.shape[0], self._robot_watched, self._columns, d.qpos, d.qvel,
+            d.qfrc_actuator, d.sensordata, first, self._watched,
+        )  # fmt: skip
 
     def _restart(self, restarted: wp.array, initial: list[wp.array]) -> None:
         """Restart marked robots, and bring derived quantities of all up to date."""
@@ -207,46 +294,76 @@ class WarpSimulations:
             low.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
             self._ground, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
         )  # fmt: skip
-        self._launch(low.orient_feet, (num, 2), self._feet, d.site_xmat, self.foot_orientation)
 
-    def arrays(self) -> dict[str, wp.array]:
-        """Live arrays by name: inputs, and what packets and truth are made of."""
-        d, motors, joints, inertial = self.d, self.motors, self.joints, self.inertial
-        return {
-            "target": motors.target,
-            "push": self._push,
-            "restarted": self.restarted,
-            "diverged": self.diverged,
-            "initial_qpos": self.initial[0],
-            "initial_qvel": self.initial[1],
-            "standing_qpos": self._standing[0],
-            "standing_qvel": self._standing[1],
-            "sent_motor_position": motors.sent_position,
-            "sent_motor_velocity": motors.sent_velocity,
-            "sent_joint_position": joints.sent_position,
-            "sent_joint_velocity": joints.sent_velocity,
-            "sent_orientation": inertial.sent_orientation,
-            "sent_gyro": inertial.sent_gyro,
-            "sent_accelerometer": inertial.sent_force,
-            "qpos": d.qpos,
-            "qvel": d.qvel,
-            "site_xpos": d.site_xpos,
-            "sensordata": d.sensordata,
-            "foot_orientation": self.foot_orientation,
-            **{n: getattr(inertial, n) for n in ("acceleration", "torque", "ground", "largest")},
-            "power": inertial.power,
-        }
+    @property
+    def overflows(self) -> Tensor:
+        """(n,) policy steps in which contacts or constraints overflowed."""
+        return self._live["overflows"]
 
-    def advance(self) -> None:
-        """Run one policy period with the targets in `motors.target`."""
-        wp.capture_launch(self._graphs["period"])
+    def advance(self, motor_target: Tensor, push: Tensor | None = None) -> Tensor:
+        """Run one policy period.
 
-    def reset(self) -> None:
-        """Restart all simulations, standing."""
-        for initial, standing in zip(self.initial, self._standing, strict=True):
-            initial.assign(np.repeat(standing.numpy(), self.num, axis=0))
-        self.restarted.fill_(True)
-        self.restart()
+        Args:
+            motor_target: (n, m) joint angles [rad].
+            push: (n, 3) forces on the pelvis' origin during the period [N, world]; zero by default.
+
+        Returns:
+            (n,) bool, True for simulations that diverged, or whose contacts overflowed, and that
+            were reset to standing.
+        """
+        live = self._live
+        live["target"].copy_(motor_target)
+        live["push"].zero_() if push is None else live["push"].copy_(push)
+        self._run("period")
+        return live["diverged"]
+
+    def reset(self, ids: Tensor, qpos: Tensor | None = None, qvel: Tensor | None = None) -> None:
+        """Restart some simulations; see `aslip.sim.Simulations.reset`."""
+        live = self._live
+        live["restarted"].zero_()
+        live["restarted"][ids] = True
+        for name, value, standing in zip(
+            ("qpos", "qvel"), (qpos, qvel), self._standing_state, strict=True
+        ):
+            live[f"initial_{name}"][ids] = standing if value is None else value.float()
+        self._run("restart")
+
+    def write_fields(self, ids: Tensor, fields: Mapping[str, Tensor]) -> None:
+        """Change fields of some simulations' models; see `aslip.sim.Simulations.write_fields`."""
+        for name, rows in fields.items():
+            field = self._fields[name]
+            if name == "actuator_delay":
+                rows = torch.round(rows[:, 0] / self.model.opt.timestep)
+            field[ids] = rows.to(field.dtype).reshape(len(ids), *field.shape[1:])
+        if DERIVING_FIELDS & fields.keys():
+            self._run("derive")
+            self._update_derived()
+
+    def watch(self, index: int | None) -> None:
+        """Record every substep of one simulation; see `aslip.sim.SimulationPool.watch`."""
+        if index is not None and not 0 <= index < self.num:
+            raise ConfigurationError(f"simulation must be from 0 to {self.num - 1}, got {index!r}")
+        if index is not None and self._stride > 1:
+            raise ConfigurationError(
+                f"watch needs a timestep of {self.robot.physics_timestep} s,"
+                f" got {self.model.opt.timestep} s"
+            )
+        self._robot_watched.fill_(-1 if index is None else index)
+
+    @property
+    def watched(self) -> np.ndarray:
+        """(60, 83) substeps of the watched simulation; see `aslip.sim.Simulations.watched`."""
+        return self._watched.numpy().astype(float)
+
+    def _update_derived(self) -> None:
+        """Bring derived quantities up to date: constraints read velocities of the step before."""
+        self._live["restarted"].zero_()
+        self._run("restart")
+
+    def _run(self, graph: str) -> None:
+        """Replay a graph, after what torch has asked of the device."""
+        stream = wp.stream_from_torch(self.place) if self._device.is_cuda else None
+        wp.capture_launch(self._graphs[graph], stream=stream)
 
     def states(self) -> np.ndarray:
         """(n, k) copy of the complete states; see `aslip.sim.Simulations.states`."""
@@ -295,9 +412,7 @@ class WarpSimulations:
         joints.assign(joint.reshape(num, joints.shape[2], -1).swapaxes(1, 2))
         motors.position.assign(position)
         motors.velocity.assign(velocity)
-        # derived quantities: MuJoCo Warp's constraints read body velocities of the step before
-        self.restarted.zero_()
-        self.restart()
+        self._update_derived()
 
     def _mirrored(self) -> dict[str, wp.array]:
         """Arrays that MuJoCo's integration state has, too, by its names."""
@@ -306,9 +421,11 @@ class WarpSimulations:
             "xfrc_applied": d.xfrc_applied
         }
 
-    def restart(self) -> None:
-        """Restart the simulations marked in `restarted` at the states in `initial`."""
-        wp.capture_launch(self._graphs["restart"])
+
+def _field(model: mjw.Model, name: str) -> wp.array:
+    """Array of a field by the name in `mujoco.batch`, such as "opt.gravity" for an option."""
+    owner, _, option = name.rpartition(".")
+    return getattr(model.opt if owner else model, option)
 
 
 def _default_state(model: mujoco.MjModel) -> np.ndarray:
@@ -320,8 +437,6 @@ def _default_state(model: mujoco.MjModel) -> np.ndarray:
 
 def _without_delay(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy of a model whose motors act at once: torques wait in the ring."""
-    from copy import copy
-
     copied = copy(model)
     copied.actuator_delay[:] = 0.0
     copied.actuator_history[:] = 0
