@@ -4,6 +4,7 @@
     python recipes/ppo_aslip.py --resume         # continue after Ctrl-C, kill or a crash
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
+    python recipes/ppo_aslip.py gpu              # 4096 robots on a GPU
     python recipes/ppo_aslip.py --num-collectors 8                     # robots in Ray actors
 
 The recipe has all parts of Green et al. 2021: environment, policy, PPO, evaluation. To swap a part,
@@ -55,6 +56,7 @@ from aslip.policy import (
 )
 from aslip.robot import CASSIE
 from aslip.show.plots import learning_curve, save_figure
+from aslip.sim.warp import check_device
 from aslip.training.collectors import LocalCollector
 from aslip.training.environments import (
     MakeEnv,
@@ -102,6 +104,10 @@ def main(
     make_train_env = make_train_env or partial(make_training_env, make_env)
     if config.physics_timestep != CASSIE.physics_timestep:
         make_train_env = partial(make_train_env, timestep=config.physics_timestep)
+    make_robots = make_train_env
+    if config.backend == "warp":
+        check_device(config.device)
+        make_robots = partial(make_train_env, backend="warp", device=config.device)
     env, speeds = make_evaluation_env(make_env, config.seed)
     run = TrainingRun(
         config.out, config, resume=config.resume, resume_hint=resume_hint, logger=logger,
@@ -111,7 +117,7 @@ def main(
     advantage, loss, optimizer = make_ppo(config, actor, critic)
     make_collector = make_collector or collector_class(config, critic.in_keys)
     collector = make_collector(
-        make_train_env, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
+        make_robots, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
         device=config.device,
     )  # fmt: skip
     parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "collector": collector}
@@ -203,7 +209,7 @@ def update(
     size = max(1, config.minibatch // samples[0].numel())
     reports = []
     for _ in range(config.epochs):
-        for index in torch.randperm(len(samples)).split(size):
+        for index in torch.randperm(len(samples), device=samples.device).split(size):
             with set_recurrent_mode(recurrent):
                 terms = cast("TensorDict", loss(samples[index]))
             total = terms["loss_objective"] + terms["loss_critic"]

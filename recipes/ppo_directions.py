@@ -2,6 +2,7 @@
 
     python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
     python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
+    python recipes/ppo_directions.py gpu               # 4096 robots on a GPU
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
 
 PPO is that of `ppo_aslip.py`. In each episode some parameters of robot, floor and sensors are drawn
@@ -17,7 +18,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from ppo_settings import Config, resume_command, training_settings, with_schedule
+from ppo_settings import ON_GPU, Config, resume_command, training_settings, with_schedule
 
 from aslip.errors import one_line_errors
 from aslip.training.settings import check_positive, check_range
@@ -71,9 +72,17 @@ class DirectionConfig(Config):
         check_positive(self, "command_rates", "command_interval", "stand_interval", "push_interval")
 
 
+PRESETS = {
+    "default": DirectionConfig(),
+    "gpu": DirectionConfig(
+        preset="gpu", out=Path("runs/ppo_directions_gpu"), **ON_GPU, total_steps=25_000_000
+    ),
+}
+"""Settings to start from, by name."""
+
 if __name__ == "__main__":
     # before the imports below, which take seconds
-    CONFIG = training_settings({"default": DirectionConfig()})
+    CONFIG = training_settings(PRESETS)
 
 from collections.abc import Callable
 from functools import partial

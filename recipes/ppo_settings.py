@@ -12,7 +12,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import preset_command_line, program, usage_error
@@ -35,6 +36,7 @@ DESCRIPTIONS = {
     "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
     "robust": "domain randomisation: robot, floor and sensor noise differ between episodes",
     "truth": "policy observes the true state instead of the estimate",
+    "gpu": "all robots, networks and updates on a GPU, on MuJoCo Warp",
     "straight": "the default with physics of 2 kHz; the shipped policy `straight` is one of these",
 }
 
@@ -55,7 +57,10 @@ class Config(UserPaths):
     seed: int = 0
     """Seed of all random numbers."""
     device: str = "cpu"
-    """PyTorch device of networks and updates, such as "cuda"; robots are simulated on the CPU."""
+    """PyTorch device of networks and updates, such as "cuda", and of robots on MuJoCo Warp."""
+    backend: Literal["batch", "warp"] = "batch"
+    """Simulator of training: "batch" on the CPU, or "warp", MuJoCo Warp on the device. Evaluations
+    walk on the CPU."""
     total_steps: int = 1_500_000
     """Policy steps to train for, rounded up to whole updates, after one batch that only initialises
     the input normaliser; the paper trains for 175 million."""
@@ -156,6 +161,15 @@ _PAPER = Config(
     std=math.exp(-2), last_std=math.exp(-2), physics_timestep=5e-4,
 )  # fmt: skip
 
+ON_GPU: Mapping[str, Any] = MappingProxyType(
+    {
+        "backend": "warp", "device": "cuda", "num_envs": 4096, "samples": 16 * 4096,
+        "minibatch": 8192, "learning_rate": 1e-3, "last_learning_rate": 1e-4,
+        "eval_interval": 1_000_000,
+    }
+)  # fmt: skip
+"""Settings of thousands of robots on a GPU."""
+
 PRESETS = {
     config.preset: config
     for config in (
@@ -167,6 +181,7 @@ PRESETS = {
         ),
         Config(preset="robust", out=Path("runs/robust")),
         Config(preset="truth", out=Path("runs/truth")),
+        Config(preset="gpu", out=Path("runs/gpu"), **ON_GPU, total_steps=5_000_000),
         Config(preset="straight", out=Path("runs/straight"), physics_timestep=5e-4),
     )
 }  # fmt: skip

@@ -34,3 +34,4 @@ from .straight import paper_stack as paper_stack
 from .straight import reward_terms as reward_terms
 from .straight import shipped_library as shipped_library
 from .straight import single_reference_stack as single_reference_stack
+from .warp import WarpEnv as WarpEnv

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-Backend = Literal["batch", "dm_control"]
+Backend = Literal["batch", "dm_control", "warp"]
 """Simulators."""
 
 RewardSource = Literal["truth", "estimate"]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from copy import copy, deepcopy
+from copy import copy
 from inspect import signature
 from typing import Any, get_args
 
-import torch
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torch.nn.parameter import is_lazy
@@ -24,7 +23,6 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
-from aslip.transforms.base import SeededTransform
 
 
 @check_types
@@ -42,6 +40,7 @@ def make_env(
     keep: Iterable[NestedKey] | None = None,
     base: RobotEnv | Callable[..., RobotEnv] | None = None,
     num_threads: int = 0,
+    device: str = "cuda",
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     timestep: float = CASSIE.physics_timestep,
 ) -> StackEnv:
@@ -51,8 +50,8 @@ def make_env(
     spec of all n robots, the target entropy of `SACLoss` is n times too large.
 
     Args:
-        backend: simulator: "batch" for training, or "dm_control" as the reference. Keys and states
-            are the same.
+        backend: simulator: "batch" for training, "warp" for training on a GPU, in single precision,
+            or "dm_control" as the reference. Keys and states are the same.
         num_envs: number of robots n, at most 65,536, or 1,024 with the "dm_control" backend; all
             tensors have it as their first dimension.
         seed: seed of all random numbers, those of transforms included. By default each environment
@@ -70,8 +69,9 @@ def make_env(
             `robot_stack` for real robots and replayed logs.
         num_threads: physics threads of the batch backend, 0 for all processors that this process
             may use, by its affinity and the quota of its container.
+        device: device of the warp backend, and of all its entries; "cpu" is for tests.
         floor_friction: sliding friction of the floor.
-        timestep: physics timestep of the batch backend [s], 0.0005 or the faster 0.001.
+        timestep: physics timestep of the batch and warp backends [s], 0.0005 or the faster 0.001.
 
     Raises:
         ConfigurationError: a setting is invalid, two settings exclude each other, or a transform
@@ -81,15 +81,13 @@ def make_env(
     """
     seed = random_seed() if seed is None else check_seed(seed)
     chosen = edit_stack(_find_stack(stack, library, reward_on), drop, replace or {})
-    simulator = {"floor_friction": floor_friction, "timestep": timestep, "num_threads": num_threads}
+    simulator = {"floor_friction": floor_friction, "timestep": timestep}
+    simulator |= {"num_threads": num_threads, "device": device}
     if base is None:
         robot = _make_simulator(backend, num_envs, **simulator)
     else:
         robot = _make_robot(base, num_envs, {"backend": backend, **simulator})
-    copies = {name: _copy(transform) for name, transform in chosen.items()}
-    if robot.place.type != "cpu":
-        _move(copies, robot.place)
-    env = StackEnv(robot, copies)
+    env = StackEnv(robot, {name: _copy(transform) for name, transform in chosen.items()})
     check_wiring(env)
     if keep is not None:
         _hide_others(env, [keep] if isinstance(keep, str) else list(keep))
@@ -108,32 +106,6 @@ def _copy(transform: Transform) -> Transform:
             vars(part).update({name: _own(value) for name, value in vars(part).items()})
             part._buffers = {name: _own(value) for name, value in part._buffers.items()}
     return copied
-
-
-def _move(transforms: Mapping[str, Transform], place: torch.device) -> None:
-    """Move transforms to a device, with a copy of what they share, such as gait libraries."""
-    shared: dict[int, Any] = {}
-    for transform in transforms.values():
-        for part in transform.modules():
-            if not isinstance(part, Transform):
-                continue
-            for name, child in part._modules.items():
-                if child is not None and not isinstance(child, Transform):
-                    moved = shared.get(id(child)) or deepcopy(child).to(place)
-                    part._modules[name] = shared[id(child)] = moved
-            vars(part).update({name: _moved(value, place) for name, value in vars(part).items()})
-            part._buffers = _moved(part._buffers, place)
-            if isinstance(part, SeededTransform):
-                part.move(place)
-
-
-def _moved(value: Any, place: torch.device) -> Any:
-    """Tensor, or list, tuple or dict of such, on a device; other values themselves."""
-    if isinstance(value, Tensor):
-        return value.to(place)
-    if type(value) is dict:
-        return {key: _moved(item, place) for key, item in value.items()}
-    return type(value)(_moved(v, place) for v in value) if type(value) in (list, tuple) else value
 
 
 def _own(value: Any) -> Any:
@@ -180,14 +152,23 @@ def _find_stack(
 
 
 def _make_simulator(
-    backend: Backend, num_envs: int, *, floor_friction: float, timestep: float, num_threads: int
+    backend: Backend,
+    num_envs: int,
+    *,
+    floor_friction: float,
+    timestep: float,
+    num_threads: int,
+    device: str,
 ) -> SimulatedEnv:
     if backend not in get_args(Backend):
         raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    physics = {"floor_friction": floor_friction, "timestep": timestep}
     if backend == "batch":
-        return BatchEnv(
-            num_envs, num_threads=num_threads, floor_friction=floor_friction, timestep=timestep
-        )
+        return BatchEnv(num_envs, num_threads=num_threads, **physics)
+    if backend == "warp":
+        from aslip.envs import WarpEnv  # MuJoCo Warp takes seconds to import
+
+        return WarpEnv(num_envs, device=device, **physics)
     if timestep != CASSIE.physics_timestep:
         raise ConfigurationError(
             f"timestep of the dm_control backend must be {CASSIE.physics_timestep} s,"

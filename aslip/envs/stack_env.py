@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
 from typing import Any, cast
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import (
@@ -65,6 +67,7 @@ class StackEnv(TransformedEnv):
 
     @on_cpu_in_single
     def _build(self, env: RobotEnv, transforms: Mapping[str, Transform]) -> None:
+        _move(transforms.values(), env.place)
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)
@@ -102,6 +105,7 @@ class StackEnv(TransformedEnv):
             ConfigurationError: the transform does not work in a stack.
         """
         _check_foreign(transform, self)
+        _move([transform] if isinstance(transform, Transform) else [], self.place)
         before = self.transforms
         super().append_transform(transform)
         return self._renamed(before)
@@ -113,6 +117,7 @@ class StackEnv(TransformedEnv):
             ConfigurationError: the transform does not work in a stack.
         """
         _check_foreign(transform, self)
+        _move([transform], self.place)
         before = self.transforms
         super().insert_transform(index, transform)
         return self._renamed(before)
@@ -192,6 +197,34 @@ class StackEnv(TransformedEnv):
             for name, transform in zip(self.transform_names, self.transforms, strict=True):
                 _seed_transform(name, transform, seed)
         return super().set_seed(seed, static_seed=static_seed)
+
+
+def _move(transforms: Iterable[Transform], place: torch.device) -> None:
+    """Move transforms to a device, with a copy of what they share, such as gait libraries."""
+    if place.type == "cpu":
+        return
+    shared: dict[int, Any] = {}
+    for transform in transforms:
+        for part in transform.modules():
+            if not isinstance(part, Transform):
+                continue
+            for name, child in part._modules.items():
+                if child is not None and not isinstance(child, Transform):
+                    moved = shared.get(id(child)) or deepcopy(child).to(place)
+                    part._modules[name] = shared[id(child)] = moved
+            vars(part).update({name: _moved(value, place) for name, value in vars(part).items()})
+            part._buffers = _moved(part._buffers, place)
+            if isinstance(part, SeededTransform):
+                part.move(place)
+
+
+def _moved(value: Any, place: torch.device) -> Any:
+    """Tensor, or list, tuple or dict of such, on a device; other values themselves."""
+    if isinstance(value, Tensor):
+        return value.to(place)
+    if type(value) is dict:
+        return {key: _moved(item, place) for key, item in value.items()}
+    return type(value)(_moved(v, place) for v in value) if type(value) in (list, tuple) else value
 
 
 def _seed_transform(name: str, transform: Transform, seed: int) -> None:

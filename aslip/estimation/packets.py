@@ -115,9 +115,7 @@ class Screen:
         # channels of each leg: half of each encoder entry
         numbers = np.arange(robot.packet_size)
         encoders = [np.split(numbers[at[name]], 2) for name in _ENCODERS]
-        self._legs = [
-            place(np.concatenate([entry[leg] for entry in encoders])) for leg in (0, 1)
-        ]
+        self._legs = [place(np.concatenate([entry[leg] for entry in encoders])) for leg in (0, 1)]
         self._persistent = round(_PERSISTENT / robot.packet_period)
         self._most_repeats = int(_SLOWEST_IMU / robot.packet_period)
 

@@ -50,7 +50,7 @@ class LocalCollector(AbstractContextManager[Any]):
     ) -> None:
         env = add_memory(make_env(num_envs=num_envs, seed=seed), actor)
         devices = {}
-        if torch.device(device).type != "cpu":
+        if torch.device(device).type != "cpu" and env.place.type == "cpu":
             devices = {"policy_device": device, "storing_device": device, "env_device": "cpu"}
         self._collector = Collector(
             env, actor, frames_per_batch=samples, total_frames=-1, **devices, **TORCHRL_SETTINGS

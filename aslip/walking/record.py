@@ -201,7 +201,7 @@ def reset_walks(
     if stands is not None:
         values["stand"] = stands
     request = {name: _columns(value) for name, value in values.items()}
-    return env.reset(TensorDict(request, batch_size=env.num_envs))
+    return env.reset(TensorDict(request, batch_size=env.num_envs, device=env.device))
 
 
 def can_stand(env: StackEnv) -> bool:
@@ -270,8 +270,8 @@ def record(
             add_memory(env, policy), command[0], stand=0.0 if stand is None else stand[0]
         )
         for td in walk(policy, env, start, len(command), command=command, stand=stand):
-            rows.append(td.select(*keys, strict=False).clone())
-            ended |= td["next", "done"][:, 0]
+            rows.append(td.select(*keys, strict=False).clone().cpu())
+            ended |= td["next", "done"][:, 0].cpu()
             if until_all_ended and ended.all():
                 break
     return cast("TensorDict", torch.stack(rows))

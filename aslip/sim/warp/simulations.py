@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Final
 
 import mujoco
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
+from torchrl import torchrl_logger
 
 from aslip.base.checks import check_states
 from aslip.errors import ConfigurationError
@@ -74,7 +76,10 @@ class WarpSimulations:
         self.num, self.model, self.robot, self.place = num, model, robot, place
         self.contacts, self.constraints = contacts, constraints
         self._stride = round(model.opt.timestep / robot.physics_timestep)
+        wp.config.quiet = True
         wp.init()
+        if not any(Path(wp.config.kernel_cache_dir).glob("*aslip.sim.warp*")):
+            torchrl_logger.info("MuJoCo Warp compiles its kernels once, which takes a minute")
         self._device = wp.device_from_torch(place)
         try:
             with wp.ScopedDevice(self._device):
