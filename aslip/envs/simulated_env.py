@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 import mujoco
@@ -48,6 +49,8 @@ from aslip.sim.dynamics import longest_delay, with_memory_of
 
 # kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")
+# places of `aslip.robot.Indices` that select columns
+_COLUMNS = ("motor_qpos", "motor_qvel", "joint_qpos", "joint_qvel", "foot_velocity")
 
 
 class SimulatedEnv(RobotEnv):
@@ -67,7 +70,10 @@ class SimulatedEnv(RobotEnv):
         command_size: int | None = None,
         drive: MakeDrive = PD,
     ) -> None:
-        self._places = robot.indices
+        self._places = replace(
+            robot.indices,
+            **{name: self._arranged(getattr(robot.indices, name)) for name in _COLUMNS},
+        )
         self.make_drive = drive
         """Low level that takes `motor_target`."""
         self.indices = robot.indices

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,8 +24,6 @@ from aslip.sim.warp import CONSTRAINTS, CONTACTS, WarpSimulations, check_device
 # share of policy steps in which contacts may overflow, and steps between looks at it
 _MOST_OVERFLOWS = 1e-3
 _LOOK_EVERY = 200
-# of `aslip.robot.Indices`
-_COLUMNS = ("motor_qpos", "motor_qvel", "joint_qpos", "joint_qvel", "foot_velocity")
 
 
 class WarpEnv(SimulatedEnv):
@@ -69,10 +66,6 @@ class WarpEnv(SimulatedEnv):
         )
         self._steps = 0
         super().__init__(num_envs, robot)
-        self._places = dataclasses.replace(
-            robot.indices,
-            **{name: self._arranged(np.array(getattr(robot.indices, name))) for name in _COLUMNS},
-        )
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -15,6 +15,8 @@ from torch import Tensor
 from aslip.base.warp import device_function
 from aslip.estimation import filter as code
 
+wp.set_module_options({"enable_backward": False})
+
 _Number = wp.float64
 _Flags = wp.array[wp.bool]
 _Vector, _Matrix = wp.array[_Number], wp.array2d[_Number]

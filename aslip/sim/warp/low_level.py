@@ -17,6 +17,8 @@ from aslip.base.warp import device_function
 from aslip.sim.drive import motor_limit
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS, filter_step
 
+wp.set_module_options({"enable_backward": False})
+
 TAPS: Final = len(MOTOR_VELOCITY_TAPS)
 RING: Final = 64
 """Physics steps that a torque can wait."""
@@ -374,6 +376,7 @@ def restart(
 
 @wp.kernel
 def find_diverged(
+    motors: Motors,
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     qacc: wp.array2d[float],
@@ -391,6 +394,10 @@ def find_diverged(
             bad = True
     for k in range(qvel.shape[1]):
         if not (wp.abs(qvel[i, k]) <= largest and wp.abs(qacc[i, k]) <= largest):
+            bad = True
+    # limits of torques hide targets that are not finite
+    for j in range(motors.target.shape[1]):
+        if not (wp.abs(motors.target[i, j]) <= largest):
             bad = True
     if overflow[i] != 0:
         overflows[i] += 1

@@ -76,7 +76,7 @@ class WarpSimulations:
         self.num, self.model, self.robot, self.place = num, model, robot, place
         self.contacts, self.constraints = contacts, constraints
         self._stride = round(model.opt.timestep / robot.physics_timestep)
-        wp.config.quiet = True
+        wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
         wp.init()
         if not any(Path(wp.config.kernel_cache_dir).glob("*aslip.sim.warp*")):
             torchrl_logger.info("MuJoCo Warp compiles its kernels once, which takes a minute")
@@ -235,7 +235,7 @@ class WarpSimulations:
             self._physics_step(first)
         d = self.d
         self._launch(
-            low.find_diverged, self.num, d.qpos, d.qvel, d.qacc, d.overflow, _LARGEST,
+            low.find_diverged, self.num, self.motors, d.qpos, d.qvel, d.qacc, d.overflow, _LARGEST,
             self.diverged, self._overflows,
         )  # fmt: skip
         self._restart(self.diverged, self._standing)
