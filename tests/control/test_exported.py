@@ -126,18 +126,6 @@ def test_packets_are_tracked_as_by_the_controller(
         np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
 
 
-def test_the_last_estimate_holds_while_none_comes(
-    controller: Controller, exported: ExportedController, trace: dict[str, np.ndarray]
-) -> None:
-    row = estimate(trace["estimate"][0])
-    theirs, ours = controller.start(row, 3.0), exported.start(row, 3.0)
-    _, expected = controller.step(theirs, None)
-    _, found = exported.step(ours, None)
-    np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
-    # the state that a step was given stays the same
-    np.testing.assert_array_equal(exported.step(ours, None)[1], found)
-
-
 def test_wrong_arguments_are_named(
     exported: ExportedController, trace: dict[str, np.ndarray]
 ) -> None:

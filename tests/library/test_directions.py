@@ -103,13 +103,6 @@ def test_straight_gaits_are_those_of_the_shipped_library(
         np.testing.assert_allclose(one.leg_force, other.leg_force, rtol=0, atol=1e-3)
 
 
-def test_grid_becomes_a_library(built: Built) -> None:
-    gaits, left_out = convex_gaits(TURNS, built[1])
-    assert not left_out
-    library = GaitLibrary.from_motions(gaits, samples=8, missing=True, keep_motions=False)
-    assert library.table.grid == (2, 1, 3)
-
-
 def test_recipe_writes_library_certificates_and_picture(
     built: Built, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -49,7 +49,3 @@ def test_sac_trains_a_policy_that_loads_with_its_network(tmp_path: Path) -> None
     policy = aslip.load_policy(folder, sac_aslip.make_actor)
     observation = TensorDict(observation=100 * torch.randn(50, 64), batch_size=50)
     assert 0 < policy(observation)["action"].abs().max() < 0.4
-    with torch.no_grad():
-        for parameter in policy.parameters():
-            parameter.mul_(1000)
-    assert policy(observation)["action"].abs().max() == pytest.approx(0.4, abs=1e-3)

@@ -29,19 +29,6 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
     return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"], seed=0)
 
 
-def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
-    env, seen = make(2), []
-    td = env.reset()
-    for _ in range(7):
-        seen.append(td["difficulty"])
-        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(2, 10)))
-    seen = torch.cat(seen, dim=-1)
-    torch.testing.assert_close(seen[0], torch.tensor([0, 0.2, 0.4, 0.6, 0.8, 1, 1]))
-    td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
-    assert td["difficulty"].flatten().tolist() == [1.0, 1.0]
-    assert env.reset()["difficulty"].sum() == 0
-
-
 def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
     """A collector's requests for resets have nothing but a mask."""
     env, heaviest = make(4, 40), 0.0

@@ -137,15 +137,6 @@ def test_the_emergency_stop_takes_all_torque_away(bench: Bench, twin: TwinRobot)
     assert np.any(bench.tick(7, HOLD)["motor"]["torque"])
 
 
-def test_a_second_client_is_not_heard(bench: Bench, twin: TwinRobot) -> None:
-    bench.tick(2, HOLD)
-    with bench.another() as second:
-        second.send(NOTHING)
-        bench.tick(5)
-        assert second.receive() is None
-    assert not twin.idle
-
-
 def test_a_client_after_another_one_finds_the_robot_on_its_feet(
     bench: Bench, twin: TwinRobot
 ) -> None:
