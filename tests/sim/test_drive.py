@@ -71,17 +71,6 @@ def test_drive_in_numpy_equals_the_compiled_one() -> None:
     np.testing.assert_array_equal(PD(50).initial_command(position), position)
 
 
-def test_gains_differ_from_robot_to_robot() -> None:
-    drive = PD(2)
-    drive.stiffness[1] *= 0.5
-    drive.damping[1] = 0.0
-    torque = drive.torque(np.full((2, 10), 0.02), np.zeros((2, 10)), np.full((2, 10), 0.1))
-    np.testing.assert_allclose(
-        torque * CASSIE.gear,
-        [0.02 * CASSIE.stiffness - 0.1 * CASSIE.damping, 0.01 * CASSIE.stiffness],
-    )
-
-
 def test_feedforward_torque_is_divided_by_the_gear_and_limited() -> None:
     joint = np.stack([np.full(10, 20.0), np.full(10, -1e3)])
     torque = Torque(2).torque(joint, np.ones((2, 10)), np.zeros((2, 10)))
