@@ -20,11 +20,7 @@ from aslip.control.estimates import standing_estimate
 from aslip.control.export import export_policy
 from aslip.control.export.golden import golden_trace
 from aslip.control.exported import ExportedController
-from aslip.errors import (
-    ConfigurationError,
-    FileDamagedError,
-    ShapeError,
-)
+from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.network.runner.load import load
 from aslip.network.runner.supervisor import Reading, Request, Stage, Supervisor

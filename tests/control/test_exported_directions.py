@@ -13,11 +13,7 @@ from aslip.control.contract import TOLERANCE
 from aslip.control.export import export_policy
 from aslip.control.exported import ExportedController
 from aslip.errors import ConfigurationError, UnknownNameError
-from tests.control.helpers import (
-    estimate,
-    recurrent_controller,
-    standing_packet,
-)
+from tests.control.helpers import estimate, recurrent_controller, standing_packet
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,7 @@ import pytest
 
 from aslip.control.contract import seal, trace_text
 from aslip.control.exported import ExportedController
-from aslip.errors import (
-    AssetError,
-    FileDamagedError,
-)
+from aslip.errors import AssetError, FileDamagedError
 from tests.control.helpers import altered
 
 

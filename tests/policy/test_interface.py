@@ -13,13 +13,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import CatFrames, InitTracker, ObservationNorm, RewardScaling
 
 import aslip
-from aslip.envs import (
-    StackEnv,
-    default_stack,
-    describe_transforms,
-    insert_before,
-    library_of,
-)
+from aslip.envs import StackEnv, default_stack, describe_transforms, insert_before, library_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import (

@@ -8,9 +8,7 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.policy import (
-    RunningNormalizer,
-)
+from aslip.policy import RunningNormalizer
 from tests.policy.inputs import random_observations
 
 

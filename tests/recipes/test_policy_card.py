@@ -21,13 +21,7 @@ from aslip.base.provenance import provenance
 from aslip.envs import default_stack, describe_transforms, randomise_stack
 from aslip.errors import AssetError, ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import (
-    PolicyShape,
-    RunningNormalizer,
-    make_actor,
-    read_card,
-    save_policy,
-)
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from recipes import policy_card
 from recipes.policy_card import Config

@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 
 from aslip.base.processes import signals_raised
-from aslip.errors import (
-    GaitOptimizationError,
-    SolverError,
-    SpeedOutOfRangeError,
-)
+from aslip.errors import GaitOptimizationError, SolverError, SpeedOutOfRangeError
 from aslip.rom import Mode, SlipParameters, optimize, optimize_gait, optimize_gaits
 
 from .test_gait import ARRAYS

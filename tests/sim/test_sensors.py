@@ -17,10 +17,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import SimulationPool, Simulations
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS
-from aslip.sim.sensors import (
-    JOINT_VELOCITY_FILTER,
-    Sensors,
-)
+from aslip.sim.sensors import JOINT_VELOCITY_FILTER, Sensors
 
 RATE = 1 / CASSIE.physics_timestep
 # radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot

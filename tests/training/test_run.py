@@ -15,11 +15,7 @@ from aslip.training import loop
 from aslip.training import run as run_module
 from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
-from tests.training.run_folder import (
-    Settings,
-    constant_network,
-    open_run,
-)
+from tests.training.run_folder import Settings, constant_network, open_run
 from tests.training.trainings import quiet
 
 

@@ -13,12 +13,7 @@ from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
-from aslip.transforms import (
-    PhaseClock,
-    ReferenceInjection,
-    ReferenceStart,
-    SpeedCommand,
-)
+from aslip.transforms import PhaseClock, ReferenceInjection, ReferenceStart, SpeedCommand
 from tests.helpers import MakeEnv
 
 

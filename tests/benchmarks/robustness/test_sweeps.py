@@ -10,12 +10,7 @@ import pytest
 
 from benchmarks.robustness import sweeps
 from benchmarks.robustness.parameters import Sweeps
-from benchmarks.robustness.sweeps import (
-    SweepResult,
-    measure_sweeps,
-    sweep_rows,
-    trials,
-)
+from benchmarks.robustness.sweeps import SweepResult, measure_sweeps, sweep_rows, trials
 from tests.benchmarks.robustness import BAR, NO_SWEEPS, SHIPPED
 
 
