@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import SerialEnv, StepCounter
+from torchrl.envs import StepCounter
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
@@ -116,12 +114,3 @@ def test_impulses_grow_from_zero() -> None:
     assert not forces[0].any()
     assert forces[2].norm(dim=-1).min() > 0
     torch.testing.assert_close(forces[1], forces[2] / 2)
-
-
-def test_workers_keep_their_own_difficulties() -> None:
-    serial = SerialEnv(2, partial(make, 1))
-    td, bad = serial.reset(), torch.zeros(2, 1, 10)
-    bad[1] = torch.nan
-    for action in (torch.zeros(2, 1, 10), bad, torch.zeros(2, 1, 10)):
-        _, td = serial.step_and_maybe_reset(td.set("action", action))
-    assert td["difficulty"].flatten().tolist() == pytest.approx([0.6, 0.6])

@@ -153,18 +153,6 @@ def test_a_request_is_repeated_until_it_is_answered(robot: Endpoint, client: End
     assert robot.link.counters.accepted == 1
 
 
-def test_resending_gives_the_same_bytes(robot: Endpoint, client: Endpoint) -> None:
-    client.send(_command(1.0))
-    _received(robot)
-    robot.send(STATE_OUT.zeros())
-    robot.resend()
-    client.wait(1.0)
-    client.receive()
-    client.wait(0.1)
-    client.receive()
-    assert (client.link.counters.accepted, client.link.counters.repeated) == (1, 1)
-
-
 def test_sending_without_a_peer_is_an_error(robot: Endpoint) -> None:
     with pytest.raises(NetworkError, match="no peer"):
         robot.send(STATE_OUT.zeros())
