@@ -1,7 +1,5 @@
 """Exported policies run without PyTorch, as the controller does, and refuse what does not fit."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -132,9 +130,10 @@ def test_wrong_arguments_are_named(
         lost = {**good, name: np.full_like(good[name], wrong)}
         with pytest.raises(ConfigurationError, match=f"must be finite and possible: {name} is"):
             exported.start(lost)
-        # held in a step, as an estimate that does not come
-        _, held = exported.step(exported.start(good), lost)
-        np.testing.assert_array_equal(held, exported.step(exported.start(good), None)[1])
+        # held in a step, which does not change its state, as an estimate that does not come
+        state = exported.start(good)
+        _, held = exported.step(state, lost)
+        np.testing.assert_array_equal(held, exported.step(state, None)[1])
     with pytest.raises(ShapeError, match="must come from 1 robots, got 2"):
         exported.start(np.zeros((2, 1, 42)))
     assert not exported.stands

@@ -1,7 +1,5 @@
 """Library files: exact, or refused; never executed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +83,16 @@ def test_the_library_of_all_directions_is_small() -> None:
 
 
 # ------------------------------------------------------------------ damage
+
+
+@pytest.mark.parametrize("name", ["table/axis0.npy", "made_by.json", "motion00/certificate.npy"])
+def test_library_with_a_missing_entry_is_refused(file: Path, name: str) -> None:
+    """Also with correct hashes."""
+    parts = read_zip(file.read_bytes())
+    del parts[name]
+    file.write_bytes(forge_archive(parts))
+    with pytest.raises(FileDamagedError, match=r"gaits\.npz.*rebuild it"):
+        GaitLibrary.load(file)
 
 
 @pytest.mark.parametrize("name", ["table/qpos", "motion00/control", "motion01/cost"])
