@@ -133,7 +133,6 @@ def test_lookup_accepts_any_batch_shape(library: GaitLibrary, shape: tuple[int, 
     assert qvel.shape == (*shape, 32)
     assert qpos.dtype == qvel.dtype == torch.float64
     assert library.stride(speed).shape == speed.shape
-    assert reference.to_tensordict().batch_size == torch.Size(shape)
 
 
 def test_lookup_of_a_batch_equals_single_lookups(library: GaitLibrary) -> None:
