@@ -18,6 +18,7 @@ from aslip.envs import default_stack, insert_before
 from aslip.errors import AssetError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, read, recover, replay
+from aslip.robot import CASSIE
 from tests.helpers import full_disk
 from tests.log.helpers import MakeRecorded, run
 
@@ -139,6 +140,18 @@ def test_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, pa
     assert replay(path).equal
     rewards = [float(td["next", "reward"]) for td in seen]
     assert read(path)["/step"]["reward"].tolist() == rewards[: len(read(path)["/step"])]
+
+
+def test_a_killed_process_loses_the_last_second_at_most(
+    make_recorded: MakeRecorded, path: Path
+) -> None:
+    """Its file has what others read while it writes."""
+    env, steps = make_recorded(path), 40
+    run(env, steps)
+    saved = recover(path.with_name("walk.mcap.part"))
+    env.close()
+    assert saved.until > (steps - 1) * CASSIE.policy_period - 1.0
+    assert replay(saved.path).equal
 
 
 def test_full_disk_at_the_start_is_an_error(make_recorded: MakeRecorded, path: Path) -> None:
