@@ -126,7 +126,7 @@ class Belief:
 
 
 @dataclass(frozen=True)
-class Motion:
+class FilterInput:
     """Inputs and measurements of the filter at one packet, in world axes."""
 
     acceleration: np.ndarray
@@ -197,7 +197,7 @@ class ContactFilter:
             surprise_height=noise.surprise_height**2,
         )
 
-    def start(self, motion: Motion, sole_velocity: np.ndarray) -> Belief:
+    def start(self, motion: FilterInput, sole_velocity: np.ndarray) -> Belief:
         """Initial state of the filters, with the lower foot at rest on the ground.
 
         Args:
@@ -226,7 +226,7 @@ class ContactFilter:
             innovation=np.full((num, 2, 3), np.nan),
         )
 
-    def step(self, belief: Belief, motion: Motion) -> None:
+    def step(self, belief: Belief, motion: FilterInput) -> None:
         """Update `belief` in place with one packet."""
         _step(
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,

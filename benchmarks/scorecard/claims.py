@@ -47,7 +47,7 @@ from benchmarks.paper.ground_force import check_straight
 from benchmarks.scorecard.paper_list import SENTENCES, TARGETS
 from benchmarks.scorecard.paper_values import measure
 from benchmarks.scorecard.record import ValueRecord, policies_text
-from benchmarks.scorecard.verdicts import KINDS, count_text, judged_rows, value_text
+from benchmarks.scorecard.verdicts import KINDS, count_text, value_text, verdict_rows
 
 Rows = list[dict[str, Any]]
 
@@ -71,7 +71,7 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Rows]]:
         kinds, lambda kind, one: measure(config, kind, one, made.get(kind)), policies.make_env
     )
     values = record.values()
-    rows = {"sentences": judged_rows(SENTENCES, values), "targets": judged_rows(TARGETS, values)}
+    rows = {"sentences": verdict_rows(SENTENCES, values), "targets": verdict_rows(TARGETS, values)}
     return Report(rows, report(rows, record.policies), None, {"policies": record.policies, **rows})
 
 

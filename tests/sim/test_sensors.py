@@ -53,7 +53,7 @@ class Bench:
             self.qpos[0, self.indices.motor_qpos] = now
             self.qpos[0, self.indices.joint_qpos] = now
             self.sensors.read(k % CASSIE.substeps, self.qpos, self.qvel)
-            self.sensors.feel(k % CASSIE.substeps, self.qacc)
+            self.sensors.record_acceleration(k % CASSIE.substeps, self.qacc)
             for name, record in records.items():
                 record.append(getattr(self.sensors, name)[0].copy())
             if k % CASSIE.substeps == CASSIE.substeps - 1:
