@@ -30,7 +30,7 @@ class Config(Common):
     paper: tuple[str, ...] = ()
     """Policies of `ppo_aslip.py paper`."""
     baseline: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py single-reference`."""
+    """Policies of `ppo_aslip.py single_reference`."""
     record: Path | None = None
     """File with the values of each policy; its policies count, too."""
 
