@@ -17,7 +17,7 @@ import numpy as np
 
 from aslip.base.interval import Interval
 
-KINDS = {"paper": "paper's settings", "policy": "default", "baseline": "baseline"}
+KINDS = {"paper": "paper's settings", "policy": "straight", "baseline": "baseline"}
 """Kind of policies -> its name in tables."""
 
 _OF_ONE_SEED = ("met by one seed", "missed by one seed", "undecided by one seed")
@@ -52,7 +52,7 @@ class Claim:
     ours: bool = True
     """True if the limit is this project's, False if it is the paper's number."""
     fed_forward: bool = False
-    """True if the default settings feed the quantity forward: an input there, not a result."""
+    """True if `straight` feeds the quantity forward: an input there, not a result."""
     on_baseline: bool = False
     """True for a sentence about the single-reference baseline."""
     digits: int = 2
