@@ -1,7 +1,5 @@
 """Fixtures of all tests: the shipped gait library and small environments."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Command lines: parsed before any heavy import, with errors in one style."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -1,7 +1,5 @@
 """Files of every kind: written atomically, read completely or refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

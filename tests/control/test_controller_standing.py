@@ -1,7 +1,5 @@
 """Controllers give the motor targets of stacks that stand, stop and start."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, cast

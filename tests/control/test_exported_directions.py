@@ -1,7 +1,5 @@
 """Exported policies that walk in all directions along a path, and take stand commands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Exported policies that are damaged, forged or without bounds are refused."""
 
-from __future__ import annotations
-
 import base64
 import json
 import time

@@ -1,7 +1,5 @@
 """Features of simulated robots: pushes, states, recorded substeps, torques."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """TorchRL's contract of environments, for both backends, with and without the full stack."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Observations, and rewards if asked, do not depend on the true state."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

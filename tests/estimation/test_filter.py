@@ -1,7 +1,5 @@
 """Filter on motions in closed form, and against a textbook Kalman filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Gaits over a grid of directions: solved once, mirrored, kept, in a convex region."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Mapping

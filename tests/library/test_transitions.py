@@ -1,7 +1,5 @@
 """Stop, standing and start in a library: poses, joints, files."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path

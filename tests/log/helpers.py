@@ -1,7 +1,5 @@
 """Walks to record, records of logs, and comparisons of logs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import BytesIO

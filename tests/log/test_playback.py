@@ -1,7 +1,5 @@
 """Replays are bit-equal, or name the reason for a difference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs of non-default robots and physics are replayed, and forged logs do no harm."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Touchdowns of a log, and the footholds that were planned for them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs are finished and renamed once, and never overwrite a file."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Interface between policies and environments, and its checks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Running normaliser: statistics, constant inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

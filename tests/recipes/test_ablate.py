@@ -1,7 +1,5 @@
 """Ablations: variants, their results, and resuming."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The card of a shipped policy agrees with the policy file and its measurements."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The PPO recipe trains and evaluates on the environments of its presets and on custom ones."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Soft actor-critic: bounded actions, a small buffer, and a policy that can be loaded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

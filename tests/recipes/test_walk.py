@@ -1,7 +1,5 @@
 """The recipe that walks a policy: table, log, viewer and film."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Schedules of three commands: walked, logged, replayed and read back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ghosts are the reference at the robot, and footholds follow from the gaits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

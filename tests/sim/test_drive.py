@@ -1,7 +1,5 @@
 """PD control and the motor's limits, against torques computed by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

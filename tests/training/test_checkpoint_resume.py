@@ -1,7 +1,5 @@
 """A stopped and resumed training equals an uninterrupted one bit for bit."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

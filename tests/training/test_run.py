@@ -1,7 +1,5 @@
 """Folder of a run: kept settings, never overwritten, resumed with its own settings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

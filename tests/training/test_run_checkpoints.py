@@ -1,7 +1,5 @@
 """Checkpoints of a run: rotation, interruption, and resuming from the newest intact one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import zipfile

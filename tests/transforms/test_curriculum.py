@@ -1,7 +1,5 @@
 """Difficulty rises with a robot's steps, and narrows dynamics and pushes."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -1,7 +1,5 @@
 """Encoder offsets: what robots read, what their PD loops track, and how offsets are drawn."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -3,8 +3,6 @@
 Statistics are compared within 5 standard errors of the estimate, with fixed seeds.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The policy's input, entry by entry."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs

@@ -1,7 +1,5 @@
 """Entries of the reference, feedforward, and starts on the reference."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import pytest

@@ -1,7 +1,5 @@
 """Reward terms, their weighted sum, and ends of episodes."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

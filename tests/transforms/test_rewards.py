@@ -1,7 +1,5 @@
 """Reward terms against values computed by hand, and their symmetries."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """The single-reference baseline: rewards computed by hand, inputs, stack and training."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

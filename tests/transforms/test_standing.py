@@ -1,7 +1,5 @@
 """Standing on command: clock, filter, and the reference through stop, standing and start."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase

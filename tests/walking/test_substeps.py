@@ -1,7 +1,5 @@
 """Walks at the rate of the physics agree with those at the rate of the policy."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import fields
 

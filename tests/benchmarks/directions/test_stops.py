@@ -1,7 +1,5 @@
 """Stops, standing and starts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

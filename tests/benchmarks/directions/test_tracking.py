@@ -1,7 +1,5 @@
 """Errors of the mean velocity over random commands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

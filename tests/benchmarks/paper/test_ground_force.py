@@ -1,7 +1,5 @@
 """Vertical ground forces of robot and model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

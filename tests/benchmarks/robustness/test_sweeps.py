@@ -1,7 +1,5 @@
 """Walks of changed robots and floors."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

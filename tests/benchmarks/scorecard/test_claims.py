@@ -1,7 +1,5 @@
 """Values of the paper's claims, and the report on them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Learning curves: reports of runs, their record, and trainings that are started."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

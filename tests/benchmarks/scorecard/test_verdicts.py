@@ -1,7 +1,5 @@
 """Claims have verdicts on the values of several seeds."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Cost of walk logs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

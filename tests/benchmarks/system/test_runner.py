@@ -1,7 +1,5 @@
 """Walks with lost and late datagrams, in simulated time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

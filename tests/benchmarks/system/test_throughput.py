@@ -1,7 +1,5 @@
 """Throughput of environments."""
 
-from __future__ import annotations
-
 import pytest
 from torchrl.envs import ParallelEnv, SerialEnv
 

@@ -1,7 +1,5 @@
 """Runs against the twin over loopback: lockstep, real time, damping, logs and their replay."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Packets of both modes to the same readings, and commands to packets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

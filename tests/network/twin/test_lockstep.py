@@ -1,7 +1,5 @@
 """A controller at the other end of a socket walks the twin as it walks the simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import cast
 

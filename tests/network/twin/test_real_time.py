@@ -1,7 +1,5 @@
 """Real time: the held command, silences, stops, clients one after the other, and late ticks."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time

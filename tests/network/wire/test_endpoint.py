@@ -1,7 +1,5 @@
 """Sockets on loopback: newest datagram, peers, ports in use, addresses of other machines."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Iterator

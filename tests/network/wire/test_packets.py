@@ -1,7 +1,5 @@
 """Packets byte by byte, against the tables of the protocol and Python's `struct`."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
