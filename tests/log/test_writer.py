@@ -140,15 +140,14 @@ def test_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, pa
     assert read(path)["/step"]["reward"].tolist() == rewards[: len(read(path)["/step"])]
 
 
-def test_a_killed_process_loses_the_last_second_at_most(
-    make_recorded: MakeRecorded, path: Path
-) -> None:
-    """Its file has what others read while it writes."""
+def test_an_open_log_lacks_a_fraction_of_a_second(make_recorded: MakeRecorded, path: Path) -> None:
+    """So does that of a killed process: the file has what was flushed."""
     env, steps = make_recorded(path), 40
     run(env, steps)
     saved = recover(path.with_name("walk.mcap.part"))
     env.close()
-    assert saved.until > (steps - 1) * CASSIE.policy_period - 1.0
+    # chunks alone, without the flush each second, end after 0.75 s
+    assert 0.9 < saved.until < steps * CASSIE.policy_period
     assert replay(saved.path).equal
 
 
