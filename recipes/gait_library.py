@@ -85,12 +85,17 @@ def main(config: Config) -> None:
             objective=config.objective,
             progress=progress,
         )
+    solved = time.perf_counter()
     about = made_by(("aslip", "casadi", "pin", "numpy", "scipy"))
     library = GaitLibrary.from_motions(gaits, samples=config.samples, made_by=about)
+    tabulated = time.perf_counter()
     config.out.parent.mkdir(parents=True, exist_ok=True)
     library.save(config.out)
     print(gait_table(gaits))
-    print(f"\n{len(gaits)} gaits in {time.perf_counter() - start:.1f} s -> {config.out}")
+    print(
+        f"\n{len(gaits)} gaits in {solved - start:.1f} s, inverse kinematics of"
+        f" {len(gaits) * config.samples} poses in {tabulated - solved:.1f} s -> {config.out}"
+    )
 
     nearest = gaits[int(np.abs(library.speeds - config.figure_speed).argmin())]
     save_figure(gait_figure(nearest), pictures / "gait.png")

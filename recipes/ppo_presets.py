@@ -14,8 +14,8 @@ from aslip.training.environments import make_training_env
 def environments(preset: str) -> dict[str, Any]:
     """Environments of a preset, as arguments of `ppo_aslip.main`."""
     one_speed = partial(make_training_env, command_interval=math.inf)
-    if preset in ("paper", "single-reference"):
-        make_env = partial(aslip.make_env, stack=preset.replace("-", "_"))
+    if preset in ("paper", "single_reference"):
+        make_env = partial(aslip.make_env, stack=preset)
         return {"make_env": make_env, "make_train_env": partial(one_speed, make_env)}
     if preset == "robust":
         robots = partial(aslip.make_env, stack=randomise_stack(default_stack()))

@@ -33,7 +33,7 @@ with extras():
 DESCRIPTIONS = {
     "default": "the stack `straight`, with feedforward torques; settings for fast learning",
     "paper": "paper's stack and settings, as far as given (5120 samples instead of 5096)",
-    "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
+    "single_reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
     "robust": "domain randomisation: robot, floor and sensor noise differ between episodes",
     "truth": "policy observes the true state instead of the estimate",
     "gpu": "all robots, networks and updates on a GPU, on MuJoCo Warp",
@@ -176,7 +176,7 @@ PRESETS = {
         Config(),
         _PAPER,
         replace(
-            _PAPER, preset="single-reference", out=Path("runs/single_reference"),
+            _PAPER, preset="single_reference", out=Path("runs/single_reference"),
             total_steps=6_250_000, fall_after=0.8, last_learning_rate=1e-5, last_std=0.05,
         ),
         Config(preset="robust", out=Path("runs/robust")),

@@ -1,7 +1,5 @@
 """Fixtures of all tests: the shipped gait library and small environments."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path
@@ -14,7 +12,7 @@ import torch
 import aslip
 from aslip.envs import StackEnv
 from aslip.errors import RenderingError
-from aslip.library import GaitLibrary
+from aslip.library import GaitLibrary, TransitionTable
 from aslip.robot.model import load_model
 from aslip.robot.opengl import make_renderer
 from tests.helpers import MakeEnv
@@ -77,6 +75,21 @@ def pictures() -> None:
         make_renderer(load_model(visual=False), 8, 8).close()
     except RenderingError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def walking() -> GaitLibrary:
+    """Small library with stop and start."""
+    from tests.library.standing import standing_library
+
+    return standing_library()
+
+
+@pytest.fixture(scope="session")
+def table(walking: GaitLibrary) -> TransitionTable:
+    """Stop and start of the small library."""
+    assert walking.transitions is not None
+    return walking.transitions
 
 
 @pytest.fixture

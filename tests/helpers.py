@@ -1,7 +1,5 @@
 """Comparisons, policies and settings shared by several test modules."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Command lines: parsed before any heavy import, with errors in one style."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
@@ -13,13 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from aslip.base.command_line import (
-    Reports,
-    command_line,
-    prepare_program,
-    program,
-    say,
-)
+from aslip.base.command_line import Reports, command_line, prepare_program, program, say
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE

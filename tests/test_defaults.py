@@ -1,7 +1,5 @@
 """Other defaults of torch, which another library of the same program may set, change nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace

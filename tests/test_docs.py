@@ -1,7 +1,5 @@
 """Pages: snippets run, commands parse, links and names resolve."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import linecache

@@ -3,8 +3,6 @@
 Green et al. 2021, "Learning Spring Mass Locomotion: Guiding Policies with a Reduced-Order Model".
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

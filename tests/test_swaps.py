@@ -4,8 +4,6 @@ Each example is a function to copy: it trains, and returns its `make_env`. The t
 policy, walk with it, and pass it to a benchmark. `docs/swapping.md` explains the parts.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

@@ -20,9 +20,9 @@ from aslip.transforms.standing import (
     advance_mode,
     check_rates_of_stops,
     first_mode,
+    required_transitions,
     stop_rates,
     stop_target,
-    transitions_of,
 )
 
 
@@ -50,7 +50,7 @@ class Steering:
     def __post_init__(self) -> None:
         """Check that the library has what standing needs."""
         if self.stands:
-            transitions_of(self.library)
+            required_transitions(self.library)
             if not self.along_path:
                 raise ConfigurationError(
                     "standing needs a library over several commands, got one over forward speed"
@@ -72,7 +72,7 @@ class Steering:
         """
         phase, mode, filtered = phase % 1.0, None, command
         if stand is not None:
-            phase, mode = first_mode(transitions_of(self.library), phase, stand)
+            phase, mode = first_mode(required_transitions(self.library), phase, stand)
             filtered = stop_target(command, stand, mode)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:

@@ -32,7 +32,7 @@ from aslip.transforms import (
     rewards,
 )
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
-from aslip.transforms.standing import transitions_of
+from aslip.transforms.standing import required_transitions
 
 # headings of the target that reward terms read on turns
 _HEADINGS: Final = MappingProxyType(
@@ -113,7 +113,7 @@ def directions_stack(
             start.
     """
     library = shipped_library("directions") if library is None else library
-    transitions_of(library)
+    required_transitions(library)
     looked_up: list[NestedKey] = [_FILTERED, "phase", "mode", "stand"]
     stack = walking_stack(library, reward_on) | {
         "start": ReferenceStart(library, in_keys=["command", "phase", "mode"]),

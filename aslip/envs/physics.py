@@ -113,7 +113,7 @@ class BipedPhysics(mujoco.Physics):
             np.copyto(self.data.ctrl, torque[0])
             sensors.read(self._substep, self.data.qpos[None], self.data.qvel[None])
             super().step()
-            sensors.feel(self._substep, self.data.qacc[None])
+            sensors.record_acceleration(self._substep, self.data.qacc[None])
             if self.watched is not None:
                 torque = self.data.qfrc_actuator[self.indices.motor_qvel]
                 force = self.data.sensordata[self.indices.ground_force.ravel()]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from aslip.base.arrays import Array, contiguous, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation.filter import ContactFilter, FilterNoise, Motion, P, V
+from aslip.estimation.filter import ContactFilter, FilterInput, FilterNoise, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
 from aslip.estimation.state import Estimate, Tracking
@@ -167,7 +167,7 @@ class StateEstimator:
 
     def _interpret(
         self, before: Array, angular_before: Array, screened: Screened
-    ) -> tuple[list[Motion], _Geometry]:
+    ) -> tuple[list[FilterInput], _Geometry]:
         """Motion at each packet for the filter, and more geometry at the last one."""
         readings, age = screened.readings, screened.age
         xp = namespace(readings)
@@ -199,7 +199,7 @@ class StateEstimator:
         # the filter is compiled for contiguous arrays of one packet
         columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
         packets = zip(*(contiguous(x.swapaxes(0, 1)) for x in columns), strict=True)
-        motions = [Motion(*packet) for packet in packets]
+        motions = [FilterInput(*packet) for packet in packets]
         gravity = STANDARD_GRAVITY * turn[:, -1, 2]
         lateral = vectors[:, -1, :, LATERAL]
         own = proper[:, -1] - gravity

@@ -128,7 +128,7 @@ class Belief:
 
 
 @dataclass(frozen=True)
-class Motion:
+class FilterInput:
     """Inputs and measurements of the filter at one packet, in world axes."""
 
     acceleration: Array
@@ -205,7 +205,7 @@ class ContactFilter:
             half_square=timestep * timestep / 2,
         )
 
-    def start(self, motion: Motion, sole_velocity: Array) -> Belief:
+    def start(self, motion: FilterInput, sole_velocity: Array) -> Belief:
         """Initial state of the filters, with the lower foot at rest on the ground.
 
         Args:
@@ -238,7 +238,7 @@ class ContactFilter:
             innovation=sole * math.nan,
         )
 
-    def step(self, belief: Belief, motion: Motion) -> None:
+    def step(self, belief: Belief, motion: FilterInput) -> None:
         """Update `belief` in place with one packet."""
         if is_numpy(belief.mean):
             step = _step

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from tensordict import TensorDict
 from torch import Tensor
 
 from aslip.robot import SIDES
@@ -68,8 +67,3 @@ class Reference:
             pair = columns.pop(name).chunk(2, dim=-1)
             columns |= {f"{side}_{name}": v for side, v in zip(SIDES, pair, strict=True)}
         return cls(**columns)
-
-    def to_tensordict(self) -> TensorDict:
-        """Convert to a tensordict with one entry per field."""
-        entries = {field.name: getattr(self, field.name) for field in fields(self)}
-        return TensorDict(entries, batch_size=self.motor_position.shape[:-1])

@@ -50,7 +50,7 @@ class HalfStride:
     """x of the right foot [m], relative to the body at left lift-off."""
 
 
-class WalkingProblem(GaitProgram[HalfStride]):
+class HalfStrideProblem(GaitProgram[HalfStride]):
     """Nonlinear program of half a stride; its command is the speed alone."""
 
     _variables = HalfStride
@@ -147,9 +147,11 @@ class WalkingProblem(GaitProgram[HalfStride]):
 
 
 @lru_cache(maxsize=4)
-def walking_problem(parameters: SlipParameters, objective: Objective = "mean") -> WalkingProblem:
+def half_stride_problem(
+    parameters: SlipParameters, objective: Objective = "mean"
+) -> HalfStrideProblem:
     """Problem for given parameters, built on first use."""
-    return WalkingProblem(parameters, objective)
+    return HalfStrideProblem(parameters, objective)
 
 
 def unfold(

@@ -18,11 +18,16 @@ from aslip.rom.certificate import Certificate
 from aslip.rom.certify import certify, slacks
 from aslip.rom.full_stride import WholeStride, gait_of_stride, stride_of_gait, stride_problem
 from aslip.rom.gait import Gait
-from aslip.rom.half_stride import HalfStride, fold, unfold, walking_problem
+from aslip.rom.half_stride import HalfStride, fold, half_stride_problem, unfold
 from aslip.rom.program import GaitProgram
 from aslip.rom.slip import Objective, SlipParameters
 from aslip.rom.standing import Transition
-from aslip.rom.stop_start import StopAndStart, ends_of_gait, rest_problem, transitions_of
+from aslip.rom.stop_start import (
+    StopAndStart,
+    ends_of_gait,
+    stop_start_problem,
+    transitions_from_modes,
+)
 
 ABOUT_THE_PROBLEM: Final = frozenset(
     {
@@ -82,7 +87,7 @@ def optimize_gait(
     p = parameters or SlipParameters()
     numbers = _checked(command, p)
     if len(numbers) == 1:
-        problem = walking_problem(p, objective)
+        problem = half_stride_problem(p, objective)
         start = problem.rough_guess(float(numbers[0])) if guess is None else fold(guess)
         return unfold(*_solve(problem, numbers, start), p)
     problem = stride_problem(p, objective)
@@ -145,9 +150,9 @@ def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
         GaitOptimizationError: the solver found no solution, or a check failed.
         SolverError: as in `optimize_gait`.
     """
-    problem, ends = rest_problem(gait.parameters), ends_of_gait(gait)
+    problem, ends = stop_start_problem(gait.parameters), ends_of_gait(gait)
     solution, _, certificate = _solve(problem, ends, problem.rough_guess(ends))
-    return transitions_of(problem.modes(solution, ends), certificate, gait.parameters)
+    return transitions_from_modes(problem.modes(solution, ends), certificate, gait.parameters)
 
 
 def _nearest(gaits: Sequence[Gait], command: np.ndarray) -> Gait | None:

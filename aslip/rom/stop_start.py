@@ -55,7 +55,7 @@ class StopAndStart:
     """(2,) durations of stop and start [s]."""
 
 
-class RestProblem(GaitProgram[StopAndStart]):
+class StopStartProblem(GaitProgram[StopAndStart]):
     """Nonlinear program of a stop and a start; its parameters are their ends in the gait.
 
     The parameters, in place of a command: state at left touchdown (10), state at right lift-off
@@ -170,9 +170,9 @@ def _cubic(first: np.ndarray, last: np.ndarray, duration: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def rest_problem(parameters: SlipParameters) -> RestProblem:
+def stop_start_problem(parameters: SlipParameters) -> StopStartProblem:
     """Problem for given parameters, built on first use."""
-    return RestProblem(parameters)
+    return StopStartProblem(parameters)
 
 
 def ends_of_gait(gait: Gait) -> np.ndarray:
@@ -192,7 +192,7 @@ def ends_of_gait(gait: Gait) -> np.ndarray:
     return np.concatenate([state[POINTS], state[2 * POINTS], gait.feet.position[POINTS].ravel()])
 
 
-def transitions_of(
+def transitions_from_modes(
     modes: Sequence[ModeSolution], certificate: Certificate, p: SlipParameters
 ) -> tuple[Transition, Transition]:
     """Stop and start from their two solved modes."""

@@ -52,8 +52,9 @@ _LINEAR, _ANGULAR = slice(7, 10), slice(10, 13)
 class Sensors:
     """Sensors of n robots.
 
-    The simulation calls `read` before and `feel` after every physics step, and `finish` after a
-    policy period, before `packets`. A physics step computes only what the PD loop needs.
+    The simulation calls `read` before and `record_acceleration` after every physics step, and
+    `finish` after a policy period, before `packets`. A physics step computes only what the PD loop
+    needs.
 
     Args:
         num: number of robots n.
@@ -169,7 +170,7 @@ class Sensors:
             self._indices.pelvis_orientation.start, self._indices.pelvis_angular_velocity.start,
         )  # fmt: skip
 
-    def feel(self, substep: int, qacc: np.ndarray) -> None:
+    def record_acceleration(self, substep: int, qacc: np.ndarray) -> None:
         """Record the accelerations (n, 32) of the state of `read`, after its physics step."""
         at = self._indices
         self._inertial[_LINEAR, substep] = qacc[:, at.pelvis_velocity].T

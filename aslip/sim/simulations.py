@@ -272,7 +272,7 @@ class Simulations:
         self._drive.torque(target, position, velocity, out=self._ctrl)
         self.sensors.read(index, self.qpos, self.qvel)
         self._step(failed, stage)
-        self.sensors.feel(index, self._qacc)
+        self.sensors.record_acceleration(index, self._qacc)
 
     def _two_substeps(self, first: int, target: np.ndarray, failed: np.ndarray, stage: int) -> None:
         """Run the drive twice and one physics step of two substeps."""
@@ -283,14 +283,14 @@ class Simulations:
         np.add(*torques, out=self._ctrl)
         self._ctrl *= 0.5
         self._step(failed, stage)
-        sensors.feel(first, self._qacc)
+        sensors.record_acceleration(first, self._qacc)
         # semi-implicit Euler moves at the velocity of the step's end, so that joints are
         # interpolated; the pelvis' attitude stays half a millisecond ahead
         position, velocity = self._encoders
         self._halfway[:] = self.qpos
         self._halfway[:, position] -= self.robot.physics_timestep * self.qvel[:, velocity]
         sensors.read(first + 1, self._halfway, self.qvel)
-        sensors.feel(first + 1, self._qacc)
+        sensors.record_acceleration(first + 1, self._qacc)
 
     def _step(self, failed: np.ndarray, stage: int) -> None:
         """Step the simulations that have not failed, and mark those that fail."""

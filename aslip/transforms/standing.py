@@ -72,7 +72,7 @@ def advance_mode(
     Raises:
         ConfigurationError: the library has no transitions.
     """
-    table = transitions_of(library)
+    table = required_transitions(library)
     within = phase.double() % 1.0
     half = torch.where(within >= HALF, HALF, 0.0)
     within, stays = within - half, stand > 0.5
@@ -102,7 +102,7 @@ def advance_mode(
     return ((half + moved) % 1.0).to(phase.dtype), mode
 
 
-def transitions_of(library: GaitLibrary) -> TransitionTable:
+def required_transitions(library: GaitLibrary) -> TransitionTable:
     """Stop and start of a library.
 
     Raises:
@@ -246,7 +246,7 @@ class StandClock(ChosenAtReset):
 
     def __init__(self, library: GaitLibrary, command_key: NestedKey = "filtered_command") -> None:
         super().__init__([command_key, "stand", "estimate"], {"phase": 1, "mode": 1})
-        self._table = transitions_of(library)
+        self._table = required_transitions(library)
         self.library = library
 
     def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:

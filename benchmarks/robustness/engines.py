@@ -61,7 +61,7 @@ from functools import partial
 from aslip.base.tables import markdown
 from aslip.control import Controller
 from aslip.library import GaitLibrary
-from aslip.network.twin import TwinRobot, drake_engine, mujoco_engine
+from aslip.network.twin import TwinRobot, drake_engine, mujoco_engine, serve_lockstep
 from aslip.network.wire import (
     LOOPBACK,
     PD_IN,
@@ -76,7 +76,6 @@ from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
 from aslip.sim import MakeDrive, Simulations
 from benchmarks.common import write_results
-from benchmarks.system.twin_protocol import answer
 
 
 @dataclass(frozen=True)
@@ -158,6 +157,17 @@ def walk(
         height=float(height.mean()),
         estimate_error=float(np.sqrt((error**2).mean())),
     )
+
+
+def answer(twin: TwinRobot, server: Endpoint, client: Endpoint, command: np.ndarray) -> np.ndarray:
+    """Answer of the twin to a command, with both sides in this thread."""
+    ticks = twin.ticks
+    client.send(command)
+    serve_lockstep(twin, server, lambda: twin.ticks > ticks)
+    client.wait()
+    answer = client.receive()
+    assert answer is not None
+    return answer
 
 
 def stiff_engine(robot: Robot, drive: MakeDrive) -> Simulations:

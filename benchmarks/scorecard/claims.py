@@ -4,8 +4,8 @@
     python -m benchmarks.scorecard.claims --policy runs/seed0 runs/seed1 --paper runs/paper0
 
 Two tables. Sentences of the paper are tested on its settings (`--paper`) and its baseline
-(`--baseline`), with the default settings (`--policy`) beside them; targets are tested on the
-default settings. A row passes if the whole 95 % interval over seeds meets its limit, fails if the
+(`--baseline`), with those of `straight` (`--policy`) beside them; targets are tested on
+`straight`. A row passes if the whole 95 % interval over seeds meets its limit, fails if the
 whole interval misses it or a seed has no value (it fell), and is undecided otherwise. Some rows
 demand the limit of each seed. Training costs are read from run folders.
 
@@ -30,7 +30,7 @@ class Config(Common):
     paper: tuple[str, ...] = ()
     """Policies of `ppo_aslip.py paper`."""
     baseline: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py single-reference`."""
+    """Policies of `ppo_aslip.py single_reference`."""
     record: Path | None = None
     """File with the values of each policy; its policies count, too."""
 
@@ -47,7 +47,7 @@ from benchmarks.paper.ground_force import check_straight
 from benchmarks.scorecard.paper_list import SENTENCES, TARGETS
 from benchmarks.scorecard.paper_values import measure
 from benchmarks.scorecard.record import ValueRecord, policies_text
-from benchmarks.scorecard.verdicts import KINDS, count_text, judged_rows, value_text
+from benchmarks.scorecard.verdicts import KINDS, count_text, value_text, verdict_rows
 
 Rows = list[dict[str, Any]]
 
@@ -71,7 +71,7 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Rows]]:
         kinds, lambda kind, one: measure(config, kind, one, made.get(kind)), policies.make_env
     )
     values = record.values()
-    rows = {"sentences": judged_rows(SENTENCES, values), "targets": judged_rows(TARGETS, values)}
+    rows = {"sentences": verdict_rows(SENTENCES, values), "targets": verdict_rows(TARGETS, values)}
     return Report(rows, report(rows, record.policies), None, {"policies": record.policies, **rows})
 
 
@@ -107,8 +107,8 @@ def _first_value(row: Mapping[str, Any]) -> str:
     return f"baseline: {text}" if text and row["on_baseline"] else text
 
 
-def _default_verdict(row: Mapping[str, Any]) -> str:
-    """Verdict on the default; empty for a sentence about the baseline."""
+def _verdict_on_straight(row: Mapping[str, Any]) -> str:
+    """Verdict on `straight`; empty for a sentence about the baseline."""
     if row["on_baseline"]:
         return ""
     found = row["found"]["policy"]
@@ -128,15 +128,15 @@ SENTENCE_COLUMNS = {
     "limit": lambda row: row["limit"] + (" (ours)" if row["ours"] else ""),
     "paper's settings": _first_value,
     "verdict": lambda row: row["found"][_first(row)]["verdict"],
-    "default": lambda row: "" if row["on_baseline"] else value_text(row),
-    "verdict on the default": _default_verdict,
+    "straight": lambda row: "" if row["on_baseline"] else value_text(row),
+    "verdict on straight": _verdict_on_straight,
 }
 
 TARGET_COLUMNS = {
     "target": "{name}",
     **_FACTS,
     "limit (ours)": "{limit}",
-    "default": value_text,
+    "straight": value_text,
     "verdict": "{found[policy][verdict]}",
 }
 

@@ -79,7 +79,7 @@ from matplotlib.figure import Figure
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.show.plots import save_figure
-from aslip.transforms.standing import transitions_of
+from aslip.transforms.standing import required_transitions
 from benchmarks.common import (
     Policies,
     Policy,
@@ -96,7 +96,7 @@ from benchmarks.robustness.parameters import SWEEPS, Sweeps
 from benchmarks.scorecard.direction_list import SWEPT, TARGETS
 from benchmarks.scorecard.direction_values import SPEEDS, measure
 from benchmarks.scorecard.record import ValueRecord, describe, policies_text
-from benchmarks.scorecard.verdicts import Claim, Values, judged_rows, value_text
+from benchmarks.scorecard.verdicts import Claim, Values, value_text, verdict_rows
 
 _NOT_RECORDED: Final = ("policy", "out", "record", "picture", "library")  # a hash names the library
 
@@ -139,7 +139,7 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
         {"policy": given}, lambda _, one: measure(settings[one], one, make_env), make_env
     )
     found = record.values()["policy"]
-    rows = judged_rows(TARGETS, {"policy": found}, {name: walks(config, name) for name in SWEPT})
+    rows = verdict_rows(TARGETS, {"policy": found}, {name: walks(config, name) for name in SWEPT})
     parts = [table(COLUMNS, rows, ["---", "---", "---:", "---:", "---"]), falls_text(config, found)]
     if config.record is not None:
         at = ", ".join(sorted({one["measured_at"] or "no commit" for one in record.policies}))
@@ -181,7 +181,7 @@ def check_library(config: Config) -> None:
     """Check of the library what would fail after minutes otherwise; see `main`."""
     library = chosen_library(config)
     if library is not None:
-        transitions_of(library)
+        required_transitions(library)
         for speed in SPEEDS:
             library.check_command((speed, 0.0, 0.0))
 

@@ -109,7 +109,7 @@ VARIANTS: Final = MappingProxyType(
         "robust": ("robust",),
         "paper": ("paper",),
         "baseline": (
-            "single-reference", "--last-learning-rate", "1e-4", "--last-std", str(math.exp(-2)),
+            "single_reference", "--last-learning-rate", "1e-4", "--last-std", str(math.exp(-2)),
             "--fall-after", "0.6",
         ),
         "directions": (),

@@ -19,7 +19,7 @@ SENTENCES: Final = (
     ),
     Claim(
         "return",
-        "mean return of training episodes, with exploration noise (less of it in the default), at"
+        "mean return of training episodes, with exploration noise (less of it in `straight`), at"
         " the end of the training; the paper trains longer, and does not mention noise",
         'V: "converges to a reward of almost 300 after about 175 million timesteps"',
         published="almost 300",
@@ -188,4 +188,4 @@ TARGETS: Final = (
         digits=1,
     ),
 )  # fmt: skip
-"""Targets of this project; tested on the default settings."""
+"""Targets of this project; tested on the settings of `straight`."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from aslip.base.interval import Interval
 
-KINDS = {"paper": "paper's settings", "policy": "default", "baseline": "baseline"}
+KINDS = {"paper": "paper's settings", "policy": "straight", "baseline": "baseline"}
 """Kind of policies -> its name in tables."""
 
 _OF_ONE_SEED = ("met by one seed", "missed by one seed", "undecided by one seed")
@@ -52,7 +52,7 @@ class Claim:
     ours: bool = True
     """True if the limit is this project's, False if it is the paper's number."""
     fed_forward: bool = False
-    """True if the default settings feed the quantity forward: an input there, not a result."""
+    """True if `straight` feeds the quantity forward: an input there, not a result."""
     on_baseline: bool = False
     """True for a sentence about the single-reference baseline."""
     digits: int = 2
@@ -79,7 +79,7 @@ class Claim:
         return self.at_least <= value <= self.at_most
 
 
-def judged_rows(
+def verdict_rows(
     claims: Sequence[Claim],
     values: Mapping[str, Sequence[Values]],
     walks: Mapping[str, int] | None = None,
@@ -91,7 +91,7 @@ def judged_rows(
     Args:
         claims: the claims.
         values: kind of policies -> values of each policy.
-        walks: name of a share of walks [%] -> number of walks of a policy, see `judge`.
+        walks: name of a share of walks [%] -> number of walks of a policy, see `verdict`.
     """
     rows = []
     for claim in claims:
@@ -100,12 +100,12 @@ def judged_rows(
             of_kind = values.get(kind, ())
             known = all(claim.name in one for one in of_kind)
             of_claim = [one[claim.name] for one in of_kind] if known else []
-            found[kind] = judge(claim, of_claim, (walks or {}).get(claim.name, 0))
+            found[kind] = verdict(claim, of_claim, (walks or {}).get(claim.name, 0))
         rows.append({**vars(claim), "limit": claim.limit, "found": found})
     return rows
 
 
-def judge(claim: Claim, values: Sequence[Interval], walks: int = 0) -> dict[str, Any]:
+def verdict(claim: Claim, values: Sequence[Interval], walks: int = 0) -> dict[str, Any]:
     """Values of all seeds, their interval, and the verdict on them.
 
     One seed has the interval over its walks. Shares of walks of several get Wilson's interval of
@@ -124,8 +124,8 @@ def judge(claim: Claim, values: Sequence[Interval], walks: int = 0) -> dict[str,
             interval = Interval.of([np.array([value]) for value in each])
             if walks:
                 interval = _widened(interval, each, walks)
-    verdict = _verdict(claim, each, interval)
-    return {"each": each, "interval": interval and vars(interval), "verdict": verdict}
+    text = _verdict_text(claim, each, interval)
+    return {"each": each, "interval": interval and vars(interval), "verdict": text}
 
 
 def _widened(interval: Interval, each: Sequence[float], walks: int) -> Interval:
@@ -136,7 +136,7 @@ def _widened(interval: Interval, each: Sequence[float], walks: int) -> Interval:
     return Interval(interval.mean, max(0.0, low), min(100.0, high))
 
 
-def _verdict(claim: Claim, each: Sequence[float], interval: Interval | None) -> str:
+def _verdict_text(claim: Claim, each: Sequence[float], interval: Interval | None) -> str:
     """Verdict on the values of all seeds; the interval is None if a seed has no value."""
     if not each:
         return "not measured"

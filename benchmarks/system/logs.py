@@ -1,10 +1,9 @@
-"""Walk logs: overhead, size and killed writers.
+"""Walk logs: overhead and size.
 
-    python -m benchmarks.system.logs                       # everything
-    python -m benchmarks.system.logs --rounds 5 --kills 0
+    python -m benchmarks.system.logs --rounds 5
 
 One robot walks with and without a recorder. Both take the same steps in turn, in small portions, so
-that other load on the machine affects both alike. Processes are then killed while they write a log.
+that other load on the machine affects both alike.
 """
 
 from __future__ import annotations
@@ -25,12 +24,8 @@ class Config(UserPaths):
     """Walks, each with and without a log."""
     steps: int = 400
     """Policy steps of a walk; the paper's episodes have 400."""
-    kills: int = 50
-    """Number of processes killed while they write a log."""
     policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it."""
-    seed: int = 0
-    """Seed of all random numbers."""
     report: Path = Path("runs/black_box.json")
     """JSON file for the results."""
 
@@ -40,14 +35,9 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
-import multiprocessing
-import os
-import signal
 import statistics
 import tempfile
 import time
-from contextlib import suppress
-from multiprocessing.connection import Connection
 
 import numpy as np
 import torch
@@ -55,8 +45,7 @@ from tqdm import trange
 
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
-from aslip.log import JointRate, Recorder, recover, replay
-from aslip.robot import CASSIE
+from aslip.log import JointRate, Recorder
 from aslip.training.run import write_text
 from aslip.walking import Walker
 from benchmarks.common import MakeEnv, Policy, Subject
@@ -67,40 +56,29 @@ _PORTION = 20
 
 
 def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
-    """Measure, print tables and write the results.
+    """Measure, print the table and write the results.
 
     Args:
         config: the settings.
         policy: policy that walks; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`; `kills`
-            needs it to be picklable.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     torch.set_num_threads(1)
     subject = Subject.load(policy or config.policy, make_env)
-    numbers: dict[str, object] = {}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        if config.rounds:
-            numbers["overhead"] = overhead(config, subject, folder)
-        if config.kills:
-            numbers["kills"] = kills(config, subject, folder)
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = {"overhead": overhead(config, subject, Path(folder))}
     config.report.parent.mkdir(parents=True, exist_ok=True)
     write_text(config.report, json.dumps(numbers, indent=1) + "\n")
 
 
-def make_walker(
-    subject: Subject, path: Path | None, rate: JointRate = "policy", seed: int = 0
-) -> Walker:
+def make_walker(subject: Subject, path: Path | None, rate: JointRate = "policy") -> Walker:
     """Walker of a subject, with a recorder if a path is given."""
     library = GaitLibrary.load()
-    env = subject.walking_env(Common(seed=seed), 1, num_threads=1)
+    env = subject.walking_env(Common(), 1, num_threads=1)
     if path is not None:
         policy = subject.name if subject.stored else None
         env.append_transform(Recorder(path, joint_rate=rate, policy=policy))
     return Walker(subject.policy, env, library=library, speed=0.5)
-
-
-# --------------------------------------------------------------------- overhead
 
 
 def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
@@ -144,56 +122,6 @@ def portions(walkers: dict[str, Walker], steps: int) -> dict[str, np.ndarray]:
             spent[name].append(time.perf_counter() - start)
         order = order[1:] + order[:1]
     return {name: np.array(times) for name, times in spent.items()}
-
-
-# ------------------------------------------------------------------------ kills
-
-
-def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
-    """Kill log-writing processes at random times, and recover their logs."""
-    rng = np.random.default_rng(config.seed)
-    lost, failures = [], 0
-    for i in trange(config.kills, unit="kill", leave=False):
-        path = folder / f"victim-{i}.mcap"
-        reached = kill_writer(subject, path, int(rng.integers(34, config.steps)), rng)
-        saved = recover(path.with_name(path.name + ".part"))
-        loss = reached * CASSIE.policy_period - saved.until
-        lost.append(loss)
-        whole = loss <= 1.0 + CASSIE.policy_period
-        failures += not (whole and replay(saved.path).equal)
-    print(
-        f"\nrecovered {config.kills - failures} of {config.kills} logs of killed writers, with at"
-        f" most one second; lost {statistics.median(lost):.2f} s (median),"
-        f" {max(lost):.2f} s (maximum)"
-    )
-    return {"kills": config.kills, "failures": failures, "worst_loss": max(lost)}
-
-
-def kill_writer(subject: Subject, path: Path, steps: int, rng: np.random.Generator) -> int:
-    """Kill a log-writing process after a number of steps; returns its last reported step."""
-    context, reached = multiprocessing.get_context("spawn"), 0
-    ours, theirs = context.Pipe(duplex=False)
-    victim = context.Process(target=_walk_on, args=(subject, path, theirs), daemon=True)
-    victim.start()
-    theirs.close()
-    with suppress(EOFError, OSError):
-        while reached < steps:
-            reached = ours.recv()
-        time.sleep(float(rng.uniform(0, 0.02)))
-        assert victim.pid is not None
-        os.kill(victim.pid, signal.SIGKILL)
-        while True:  # reports sent before the kill
-            reached = ours.recv()
-    victim.join()
-    return reached
-
-
-def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
-    """Log an endless walk, and report each step."""
-    walker = make_walker(subject, path)
-    while True:
-        walker.step()
-        reports.send(walker.steps)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,21 @@
-"""Tests of the runner: walks over a lossy network, walks in real time, killed runners.
+"""Tests of runner and twin: lost datagrams, walks in real time, killed runners, cost of a tick.
 
     python -m benchmarks.system.runner --part loss       # 21 speeds of a minute, simulated time
     python -m benchmarks.system.runner --part real-time  # ten minutes, two processes
     python -m benchmarks.system.runner --part kill       # fifty runners killed while they walk
+    python -m benchmarks.system.runner --part tick --duration 3
     python -m benchmarks.system.runner --part real-time --policy aslip.onnx --priority 20
 
 Loss and jitter are simulated without sockets and clocks: supervisor, sequence numbers and twin are
 those of real runs, each datagram of either direction is lost or delayed at random, and the robot
 drops its command after 0.1 s of silence. A walk survives if its motors are not damped.
 
-The other parts start `aslip.network.twin --real-time` and `aslip.network.runner`, and need idle
+Real time and kills start `aslip.network.twin --real-time` and `aslip.network.runner`, and need idle
 cores: nothing else may run beside them. The twin says when it damps after a runner was killed;
 then the next runner starts.
+
+The cost of a tick is the CPU time of the twin's thread in lockstep over UDP on loopback, with both
+datagrams, while the robot is held.
 """
 
 from __future__ import annotations
@@ -27,14 +31,14 @@ from aslip.errors import one_line_errors
 class Config:
     """Settings of the benchmark."""
 
-    part: Literal["loss", "real-time", "kill"] = "loss"
+    part: Literal["loss", "real-time", "kill", "tick"] = "loss"
     """Measurement to make."""
     policy: str = "straight"
     """Name of a shipped policy, or policy file."""
     speeds: tuple[float, ...] = tuple(round(0.1 * k, 1) for k in range(21))
     """Commanded speeds of the walks with losses [m/s]."""
     duration: float = 60.0
-    """Duration of each walk with losses [s]."""
+    """Duration of each walk with losses, and of the ticks in each mode [s]."""
     loss: float = 0.2
     """Share of lost datagrams in each direction."""
     jitter: float = 0.01
@@ -76,8 +80,17 @@ from aslip.network.runner.load import Loaded, load
 from aslip.network.runner.loop import LATE, Run
 from aslip.network.runner.readings import StateReadings
 from aslip.network.runner.supervisor import Stage, Supervisor
-from aslip.network.twin import TwinRobot
-from aslip.network.wire import PD_IN, STATE_OUT, Arrival, Link
+from aslip.network.twin import TwinRobot, serve_lockstep
+from aslip.network.wire import (
+    LOOPBACK,
+    PD_IN,
+    STATE_OUT,
+    Address,
+    Arrival,
+    Endpoint,
+    Link,
+    command_to_pd_in,
+)
 from aslip.robot import CASSIE
 
 # silence after which a robot drops its command, and period of repeated commands [ticks]
@@ -87,7 +100,7 @@ _TICK_NS = 500_000
 
 def main(config: Config) -> None:
     """Measure a part and print its result."""
-    parts = {"loss": lossy_walks, "real-time": real_time, "kill": kill_runners}
+    parts = {"loss": lossy_walks, "real-time": real_time, "kill": kill_runners, "tick": tick_costs}
     print(parts[config.part](config))
 
 
@@ -271,6 +284,33 @@ def kill_runners(config: Config) -> str:
         f"{len(delays)} runners killed, the next one walked each time; damping after"
         f" {middle:.0f} ms (median), {largest:.0f} ms (largest); status of the last one: {status}"
     )
+
+
+def tick_costs(config: Config) -> str:
+    """Mean CPU time of the twin's side of a tick, in PD and in raw mode."""
+    ticks, lines = round(config.duration / CASSIE.physics_timestep), []
+    for mode in ("PD", "raw"):
+        twin = TwinRobot(raw=mode == "raw")
+        command = twin.receives.zeros()
+        if mode == "PD":
+            command = command_to_pd_in(CASSIE.standing[CASSIE.indices.motor_qpos])
+        lines.append(f"tick in {mode} mode: {1e3 * _tick_cost(twin, command, ticks):.3f} ms of CPU")
+    return "\n".join(lines)
+
+
+def _tick_cost(twin: TwinRobot, command: np.ndarray, ticks: int) -> float:
+    """Mean CPU time of the twin's side of a tick, after a first one [s]."""
+    server = Endpoint(Link(twin.sends, twin.receives, refuse_not_finite=True), Address(LOOPBACK, 0))
+    link, seconds = Link(twin.receives, twin.sends, refuse_not_finite=False), []
+    with server, Endpoint(link, Address(LOOPBACK, 0), server.local) as client:
+        for tick in range(ticks + 1):
+            client.send(command)
+            start = time.thread_time()
+            serve_lockstep(twin, server, lambda tick=tick: twin.ticks > tick)
+            seconds.append(time.thread_time() - start)
+            client.wait()
+            client.receive()
+    return float(np.mean(seconds[1:]))
 
 
 if __name__ == "__main__":

@@ -12,8 +12,7 @@ calls instead of one.
 For few robots there are two more candidates: the dm_control task in a loop, and TorchRL's
 `ParallelEnv` with a process for each robot, which uses all processors regardless of `num_threads`.
 
-Two more tables show the share of learning (everything but collection) in a training iteration, and
-the memory of environment, policy and samples.
+Another table shows the share of learning (everything but collection) in a training iteration.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Config:
     single: int = 16
     """Largest N for dm_control in a loop and `ParallelEnv`."""
     updates: bool = True
-    """Also measure learning and memory."""
+    """Also measure learning."""
     policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it; its inference is not timed."""
     action_std: float = 0.135
@@ -53,8 +52,6 @@ if __name__ == "__main__":
 import io
 import itertools
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -71,8 +68,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
-import aslip
-from aslip.base.provenance import peak_memory
 from aslip.base.tables import markdown
 from aslip.envs import ON_TRUTH
 from aslip.robot import CASSIE
@@ -218,7 +213,6 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
             print(f"| {num_envs} | {name} | {' | '.join(row)} |", flush=True)
     if config.updates:
         print("\n" + update_table(config))
-        print("\n" + memory_table(config))
 
 
 class TimedCollector(LocalCollector):
@@ -278,27 +272,6 @@ def time_iterations(
         )  # fmt: skip
         ppo_aslip.main(short, **environments(preset), make_collector=make_collector)
     return made[0].spans
-
-
-def memory_table(config: Config) -> str:
-    """Table of the peak memory of a process that collects samples, a row for each N."""
-    code = (
-        "import sys; from benchmarks.system.throughput import memory_of;"
-        " print(memory_of(int(sys.argv[1])))"
-    )
-    rows = []
-    for num_envs in config.num_envs:
-        command = [sys.executable, "-c", code, str(num_envs)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        rows.append([str(num_envs), f"{float(done.stdout.split()[-1]):.2f}"])
-    return markdown(["N", "peak memory [GiB]"], rows)
-
-
-def memory_of(num_envs: int) -> float:
-    """Peak memory of this process after eight policy steps of N robots [GiB]."""
-    with closing(aslip.make_env(num_envs=num_envs, seed=0)) as env:
-        env.rollout(8, aslip.load_policy("straight"), break_when_any_done=False)
-        return peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:

@@ -1,7 +1,5 @@
 """Shipped files are found; missing ones are named."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil

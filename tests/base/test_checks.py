@@ -1,7 +1,5 @@
 """Counts, robots and states are checked before anything is written."""
 
-from __future__ import annotations
-
 import resource
 from collections.abc import Callable
 from pathlib import Path

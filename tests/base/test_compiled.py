@@ -1,7 +1,5 @@
 """Compiled functions, with and without a usable cache."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Imports on first use, and of libraries that are not installed."""
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Number of processors, and processes that end with their parent."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A folder has one writer at a time: claims exclude other processes, and end with their owner."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import multiprocessing

@@ -1,7 +1,5 @@
 """Policies, environments and reports of benchmarks: shipped ones, and those of users."""
 
-from __future__ import annotations
-
 import json
 import math
 from contextlib import closing

@@ -1,7 +1,5 @@
 """ZIP archives: reading, writing, and forging, also with a hidden program inside."""
 
-from __future__ import annotations
-
 import io
 import pickle
 import re

@@ -3,8 +3,6 @@
 To add a kind, add a `Kind` to `KINDS`.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress

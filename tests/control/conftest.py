@@ -1,7 +1,5 @@
 """The shipped policy for straight walks under a controller, and exported."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

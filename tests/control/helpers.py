@@ -1,7 +1,5 @@
 """Rollouts, policies, exported files and estimates for tests of controllers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast

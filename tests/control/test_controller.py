@@ -1,7 +1,5 @@
 """Controllers give the motor targets of training stacks, without a simulator."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Controllers give the motor targets of stacks for all directions."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import pytest

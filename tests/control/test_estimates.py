@@ -1,7 +1,5 @@
 """Controllers of robots that estimate their own state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Exported policies that walk in all directions along a path, and take stand commands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -13,11 +11,7 @@ from aslip.control.contract import TOLERANCE
 from aslip.control.export import export_policy
 from aslip.control.exported import ExportedController
 from aslip.errors import ConfigurationError, UnknownNameError
-from tests.control.helpers import (
-    estimate,
-    recurrent_controller,
-    standing_packet,
-)
+from tests.control.helpers import estimate, recurrent_controller, standing_packet
 
 
 @pytest.fixture(scope="module")

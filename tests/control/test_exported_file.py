@@ -1,7 +1,5 @@
 """Exported policies that are damaged, forged or without bounds are refused."""
 
-from __future__ import annotations
-
 import base64
 import json
 import time
@@ -14,10 +12,7 @@ import pytest
 
 from aslip.control.contract import seal, trace_text
 from aslip.control.exported import ExportedController
-from aslip.errors import (
-    AssetError,
-    FileDamagedError,
-)
+from aslip.errors import AssetError, FileDamagedError
 from tests.control.helpers import altered
 
 

@@ -1,7 +1,5 @@
 """A point that follows commands exactly gets onto the path and stays on it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Other low levels through the public API: torques as actions, and gains."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Stack for all directions: filtered commands, moving frames, mirrored walks."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import pytest

@@ -1,7 +1,5 @@
 """Gymnasium environments pass its checker, and agents of other libraries train on them."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Transitions with only the entries that an algorithm reads."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase

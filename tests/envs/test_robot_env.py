@@ -1,7 +1,5 @@
 """Robots that are not simulated, and stacks of transforms around them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Features of simulated robots: pushes, states, recorded substeps, torques."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -41,20 +39,21 @@ def test_push_adds_its_impulse_to_one_robot_for_one_step(backend: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("push", "error", "names"),
+    ("key", "value", "error"),
     [
-        (torch.zeros(2, 2), ShapeError, "push must have shape"),
-        (torch.tensor([[0.0, 0, 0], [0, torch.nan, 0]]), ConfigurationError, "push must be finite"),
+        ("push", torch.zeros(2, 2), ShapeError),
+        ("push", torch.tensor([[0.0, 0, 0], [0, torch.nan, 0]]), ConfigurationError),
+        ("motor_target", torch.zeros(2, 9), ShapeError),
     ],
 )
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_invalid_pushes_are_refused(
-    backend: str, push: torch.Tensor, error: type[Exception], names: str
+def test_invalid_pushes_and_targets_are_refused(
+    backend: str, key: str, value: torch.Tensor, error: type[Exception]
 ) -> None:
     env = bare_env(backend)
-    td = env.reset().set("motor_target", standing_targets(env)).set("push", push)
-    with pytest.raises(error, match=names):
-        env.step(td)
+    td = env.reset().set("motor_target", standing_targets(env))
+    with pytest.raises(error, match=f"{key} must"):
+        env.step(td.set(key, value))
 
 
 def test_states_transfer_between_backends(make: MakeEnv) -> None:

@@ -1,7 +1,5 @@
 """TorchRL's contract of environments, for both backends, with and without the full stack."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -11,7 +9,7 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.robot.model import physics_timesteps
 from aslip.transforms import Fall
@@ -172,19 +170,9 @@ def test_nan_action_ends_the_episode_of_its_robot_only(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_targets_of_wrong_shape_are_refused(backend: str) -> None:
-    env = bare_env(backend)
-    env.reset()
-    with pytest.raises(ShapeError, match="motor_target must have shape"):
-        env.step(TensorDict(motor_target=torch.zeros(2, 9), batch_size=2))
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_floor_has_the_requested_friction(make: MakeEnv, backend: str) -> None:
     model = make(backend, floor_friction=0.05).base_env.model
     assert model.geom("floor").friction[0] == 0.05
-    with pytest.raises(ConfigurationError, match="floor_friction"):
-        make(backend, floor_friction=-1.0)
 
 
 def test_policy_walks_with_half_as_many_physics_steps(make: MakeEnv) -> None:

@@ -1,7 +1,5 @@
 """Reset requests override what transforms draw."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Environments work with TorchRL's own transforms, losses and collectors."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from functools import partial

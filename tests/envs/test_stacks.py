@@ -1,7 +1,5 @@
 """Stacks: edits by name, seeds, and checks of names and order."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any, cast
 

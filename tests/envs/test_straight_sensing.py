@@ -1,7 +1,5 @@
 """Observations, and rewards if asked, do not depend on the true state."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch
@@ -12,9 +10,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.library import GaitLibrary
-from aslip.transforms import (
-    SeededTransform,
-)
+from aslip.transforms import SeededTransform
 from tests.helpers import MakeEnv
 
 # transforms that may read the true state

@@ -1,7 +1,5 @@
 """A walk, and its estimates from good packets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

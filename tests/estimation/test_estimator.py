@@ -1,7 +1,5 @@
 """Estimates against the truth of a walk and against motions in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

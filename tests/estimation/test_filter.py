@@ -1,14 +1,22 @@
 """Filter on motions in closed form, and against a textbook Kalman filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from aslip.estimation.filter import LEFT, RIGHT, B, Belief, ContactFilter, FilterNoise, Motion, P, V
+from aslip.estimation.filter import (
+    LEFT,
+    RIGHT,
+    B,
+    Belief,
+    ContactFilter,
+    FilterInput,
+    FilterNoise,
+    P,
+    V,
+)
 
 PERIOD, RADIUS, HALF = 0.003, 0.02, 0.08
 LOADED, FREE = 200.0, 0.0
@@ -41,14 +49,14 @@ def _motion(
     path: Path = _body,
     bias: np.ndarray | float = 0.0,
     num: int = 1,
-) -> Motion:
+) -> FilterInput:
     """Packet of `num` robots at time t, with feet (2, 3) in the world."""
     # reading of an integrating accelerometer: the mean over the packet
     acceleration = (_derivative(path, t) - _derivative(path, t - PERIOD)) / PERIOD + bias
     rows = np.ones(num)
     half = np.zeros((num, 2, 3))
     half[..., 0] = HALF
-    return Motion(
+    return FilterInput(
         acceleration=rows[:, None] * acceleration,
         doubt=np.zeros(num),
         sole=rows[:, None, None] * (feet - path(t)),

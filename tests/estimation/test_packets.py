@@ -1,7 +1,5 @@
 """Faults of packets are found, reported and bridged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Walks, and packets made by hand, for the tests of the estimator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast

@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import mujoco

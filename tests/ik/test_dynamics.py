@@ -1,7 +1,5 @@
 """Torques of inverse dynamics change the energy of the legs as their power says."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without type stubs
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

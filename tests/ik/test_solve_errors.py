@@ -1,7 +1,5 @@
 """Error messages for targets out of reach and malformed targets."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

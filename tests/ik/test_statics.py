@@ -1,7 +1,5 @@
 """Static torques obey virtual work along motions of the library; feet share friction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

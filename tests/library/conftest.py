@@ -1,7 +1,5 @@
 """Small library to damage, and a user-defined motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small library with stop and start, over three commands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

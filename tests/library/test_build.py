@@ -1,7 +1,5 @@
 """Builds of many motions: in processes, resumed, in single precision."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gaits over a grid of directions: solved once, mirrored, kept, in a convex region."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Mapping
@@ -101,13 +99,6 @@ def test_straight_gaits_are_those_of_the_shipped_library(
             one.body.position[:, 1:], other.body.position[:, 1:], rtol=0, atol=1e-6
         )
         np.testing.assert_allclose(one.leg_force, other.leg_force, rtol=0, atol=1e-3)
-
-
-def test_grid_becomes_a_library(built: Built) -> None:
-    gaits, left_out = convex_gaits(TURNS, built[1])
-    assert not left_out
-    library = GaitLibrary.from_motions(gaits, samples=8, missing=True, keep_motions=False)
-    assert library.table.grid == (2, 1, 3)
 
 
 def test_recipe_writes_library_certificates_and_picture(

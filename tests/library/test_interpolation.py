@@ -1,7 +1,5 @@
 """Slopes of splines over phase, periodic and with two ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables of low rank: as near to the motions as can be, and looked up like other tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Libraries of pendulum walks: an ablation, and the single-reference baseline."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Convex regions of commands inside a grid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Schedules of speeds and their text."""
 
-from __future__ import annotations
-
 import pytest
 
 from aslip.errors import ConfigurationError

@@ -1,7 +1,5 @@
 """Stop, standing and start in a library: poses, joints, files."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path
@@ -19,23 +17,10 @@ from aslip.library.transitions import TRANSITION_ARRAYS
 from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
 from aslip.robot.model import load_model
 from aslip.rom import SlipParameters
-from tests.library.standing import standing_library
 
 HALVES = pytest.mark.parametrize("half", [0.0, 0.5], ids=["left landed", "right landed"])
 PLACES = ("body_position", *(f"{side}_foot_position" for side in SIDES))
 VELOCITIES = ("body_velocity", *(f"{side}_foot_velocity" for side in SIDES))
-
-
-@pytest.fixture(scope="module")
-def walking() -> GaitLibrary:
-    """Library with transitions."""
-    return standing_library()
-
-
-@pytest.fixture(scope="module")
-def table(walking: GaitLibrary) -> TransitionTable:
-    assert walking.transitions is not None
-    return walking.transitions
 
 
 def _at(*phases: float) -> Tensor:

@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -193,20 +191,6 @@ def test_legs_are_accelerated_along_the_path_over_ground(
     found = moving["motor_torque"] - plain["motor_torque"]
     np.testing.assert_allclose(found, expected, atol=1e-6)
     assert np.abs(found).max() > 20
-
-
-def test_lookup_at_a_motion_gives_its_samples(bent: GaitLibrary) -> None:
-    phase = torch.arange(SAMPLES, dtype=torch.float64)[:, None] / SAMPLES
-    command = torch.tensor(bent.table.commands[7]).expand(SAMPLES, 3)
-    found = bent.lookup(phase, command)
-    for i, side in enumerate(SIDES):
-        for name in ("foot_position", "foot_velocity"):
-            expected = getattr(bent.table, name)[7][:, i]
-            np.testing.assert_allclose(getattr(found, f"{side}_{name}"), expected, atol=1e-6)
-        toes = bent.table.foot_heading[7][:, i : i + 1]
-        np.testing.assert_allclose(getattr(found, f"{side}_foot_heading"), toes, atol=1e-6)
-    assert found.body_heading.shape == (SAMPLES, 1)
-    assert not found.body_heading.any()
 
 
 def test_lookup_over_three_axes_is_continuous_and_clamped(bent: GaitLibrary) -> None:

@@ -1,7 +1,5 @@
 """Logs of short walks with a push, falls and several episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

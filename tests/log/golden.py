@@ -3,8 +3,6 @@
 Write it again, with a new `aslip.log.messages.FORMAT`, only when messages change on purpose.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

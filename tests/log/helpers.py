@@ -1,17 +1,18 @@
 """Walks to record, records of logs, and comparisons of logs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import torch
 from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from tensordict import TensorDict
 
 from aslip.envs import StackEnv
+from aslip.log import Recording
 from aslip.log.writer import add_metadata, open_writer
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
@@ -45,6 +46,13 @@ def run(env: StackEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
         seen.append(stepped.clone())
         td = td.exclude("push")
     return seen
+
+
+def with_column(recording: Recording, topic: str, name: str, column: np.ndarray) -> Recording:
+    """Recording with another column in a topic."""
+    series = recording[topic]
+    other = replace(series, columns={**series.columns, name: column})
+    return replace(recording, series={**recording.series, topic: other})
 
 
 def read_records(data: bytes) -> list[McapRecord]:

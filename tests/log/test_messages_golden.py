@@ -1,7 +1,5 @@
 """Golden log: logs of earlier versions are still read and replayed."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rerun reads a log, and the shipped blueprint shows it."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """rosbags decodes a log, and the shipped layouts plot topics and fields of a log."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Replays are bit-equal, or name the reason for a difference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.log import Recording, replay
 from aslip.log.__main__ import main
 from aslip.sim import PD
+from tests.log.helpers import with_column
 
 
 def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
@@ -31,11 +30,9 @@ def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
 def _changed(
     recording: Recording, topic: str, name: str, row: int | tuple[int, int], by: float
 ) -> Recording:
-    series = recording[topic]
-    column = series[name].copy()
+    column = recording[topic][name].copy()
     column[row] += by
-    columns = {**series.columns, name: column}
-    return replace(recording, series={**recording.series, topic: replace(series, columns=columns)})
+    return with_column(recording, topic, name, column)
 
 
 def test_replay_detects_a_changed_motor_target_and_goes_on(recording: Recording) -> None:
@@ -60,9 +57,7 @@ def test_replay_detects_one_changed_bit_of_a_state(recording: Recording) -> None
     # what comes after the last step is where an episode would begin
     last = np.searchsorted(states.time, recording["/step"].time[-1], side="right") - 1
     integration[last, 5] = np.nextafter(integration[last, 5], np.inf)
-    columns = {**states.columns, "integration": integration}
-    series = {**recording.series, "/state": replace(states, columns=columns)}
-    result = replay(replace(recording, series=series))
+    result = replay(with_column(recording, "/state", "integration", integration))
     assert result.diverged_at == pytest.approx(states.time[last])
 
 

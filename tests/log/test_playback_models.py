@@ -1,7 +1,5 @@
 """Logs of non-default robots and physics are replayed, and forged logs do no harm."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -16,7 +14,7 @@ from aslip.base.assets import asset_path
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.log import Recording, read, replay
 from aslip.robot.model import load_model, physics_timesteps
-from tests.log.helpers import MakeRecorded, run
+from tests.log.helpers import MakeRecorded, run, with_column
 
 
 @pytest.mark.parametrize("backend", ["batch", pytest.param("dm_control", marks=pytest.mark.slow)])
@@ -142,19 +140,13 @@ def test_damaged_settings_of_the_model_are_refused(recording: Recording) -> None
             replay(replace(recording, attachments=files))
 
 
-def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray) -> Recording:
-    series = recording[topic]
-    other = replace(series, columns={**series.columns, name: column})
-    return replace(recording, series={**recording.series, topic: other})
-
-
 @pytest.mark.parametrize("value", [10_000_000, -3, np.nan])
 def test_forged_states_do_not_end_the_process(recording: Recording, value: float) -> None:
     """MuJoCo reads the memory of a motor's commands at an index in the state."""
     integration = recording["/state"]["integration"].copy()
     # time, positions, velocities; then per motor a number for users and the index
     integration[:, 1 + 35 + 32 + 1] = value
-    assert not replay(_with_column(recording, "/state", "integration", integration)).equal
+    assert not replay(with_column(recording, "/state", "integration", integration)).equal
 
 
 def test_states_of_wrong_size_are_refused(recording: Recording) -> None:
@@ -162,7 +154,7 @@ def test_states_of_wrong_size_are_refused(recording: Recording) -> None:
     for size in (0, 301, 322):
         integration = np.resize(states["integration"], (len(states), size))
         with pytest.raises(FileDamagedError, match=r"state of the log|remember .* commands"):
-            replay(_with_column(recording, "/state", "integration", integration))
+            replay(with_column(recording, "/state", "integration", integration))
 
 
 def test_dynamics_out_of_range_are_refused(recording: Recording) -> None:
@@ -170,11 +162,11 @@ def test_dynamics_out_of_range_are_refused(recording: Recording) -> None:
         for value in (1e9, np.nan):
             column = np.full(len(recording["/dynamics"]), value)
             with pytest.raises(FileDamagedError, match=f"{name}|commands"):
-                replay(_with_column(recording, "/dynamics", name, column))
+                replay(with_column(recording, "/dynamics", name, column))
 
 
 def test_columns_of_text_are_refused(recording: Recording) -> None:
     for topic, name in (("/dynamics", "payload"), ("/step", "motor_target_left_knee")):
         column = np.array(["much"] * len(recording[topic]))
         with pytest.raises(FileDamagedError, match=f"{topic} must have one number"):
-            replay(_with_column(recording, topic, name, column))
+            replay(with_column(recording, topic, name, column))

@@ -1,7 +1,5 @@
 """Truncated, altered and foreign logs are refused, and their damage is named."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Messages of a log equal the entries of the tensordict."""
 
-from __future__ import annotations
-
 import json
 import platform
 import xml.etree.ElementTree as ET

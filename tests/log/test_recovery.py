@@ -1,7 +1,5 @@
 """Recovery saves all that comes before the first damage of a log."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

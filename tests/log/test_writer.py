@@ -1,7 +1,5 @@
 """Logs are finished and renamed once, and never overwrite a file."""
 
-from __future__ import annotations
-
 import gc
 import os
 import subprocess
@@ -18,6 +16,7 @@ from aslip.envs import default_stack, insert_before
 from aslip.errors import AssetError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, read, recover, replay
+from aslip.robot import CASSIE
 from tests.helpers import full_disk
 from tests.log.helpers import MakeRecorded, run
 
@@ -35,7 +34,10 @@ def test_existing_log_is_not_overwritten(make_recorded: MakeRecorded, path: Path
     with pytest.raises(ConfigurationError, match=r"walk\.mcap' exists.*overwrite=True"):
         make_recorded(path)
     assert [p.name for p in path.parent.iterdir()] == ["walk.mcap"]
-    assert path.read_bytes() == b"precious"
+    part = path.rename(path.with_name("walk.mcap.part"))
+    with pytest.raises(ConfigurationError, match="recover"):
+        make_recorded(path).reset()
+    assert part.read_bytes() == b"precious"
 
 
 def test_log_is_overwritten_on_request(make_recorded: MakeRecorded, path: Path) -> None:
@@ -138,6 +140,17 @@ def test_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, pa
     assert read(path)["/step"]["reward"].tolist() == rewards[: len(read(path)["/step"])]
 
 
+def test_an_open_log_lacks_a_fraction_of_a_second(make_recorded: MakeRecorded, path: Path) -> None:
+    """So does that of a killed process: the file has what was flushed."""
+    env, steps = make_recorded(path), 40
+    run(env, steps)
+    saved = recover(path.with_name("walk.mcap.part"))
+    env.close()
+    # chunks alone, without the flush each second, end after 0.75 s
+    assert 0.9 < saved.until < steps * CASSIE.policy_period
+    assert replay(saved.path).equal
+
+
 def test_full_disk_at_the_start_is_an_error(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     with full_disk(1000), pytest.raises(ConfigurationError, match=r"cannot write.*walk"):
@@ -159,13 +172,6 @@ def test_sequence_numbers_count_per_topic(walk: tuple[Path, list]) -> None:
             numbers[channel.topic].append(message.sequence)
     for topic, found in numbers.items():
         assert found == list(range(1, len(found) + 1)), topic
-
-
-def test_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_path: Path) -> None:
-    (tmp_path / "walk.mcap.part").write_bytes(b"precious")
-    with pytest.raises(ConfigurationError, match="recover"):
-        make_recorded(tmp_path / "walk.mcap").reset()
-    assert (tmp_path / "walk.mcap.part").read_bytes() == b"precious"
 
 
 def test_failed_start_leaves_no_file(make_recorded: MakeRecorded, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Observations of very different means and scales."""
 
-from __future__ import annotations
-
 import torch
 
 

@@ -1,7 +1,5 @@
 """Policy: normaliser, networks, and files that are intact, safe and checked on loading."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

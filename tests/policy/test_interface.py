@@ -1,7 +1,5 @@
 """Interface between policies and environments, and its checks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,13 +11,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import CatFrames, InitTracker, ObservationNorm, RewardScaling
 
 import aslip
-from aslip.envs import (
-    StackEnv,
-    default_stack,
-    describe_transforms,
-    insert_before,
-    library_of,
-)
+from aslip.envs import StackEnv, default_stack, describe_transforms, insert_before, library_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import (

@@ -1,16 +1,12 @@
 """Running normaliser: statistics, constant inputs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.policy import (
-    RunningNormalizer,
-)
+from aslip.policy import RunningNormalizer
 from tests.policy.inputs import random_observations
 
 

@@ -1,7 +1,5 @@
 """The critic sees truth and dynamics, and is as symmetric as the robot."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 

@@ -1,7 +1,5 @@
 """Recurrent policies: memory within an episode, none across, and files that rebuild them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

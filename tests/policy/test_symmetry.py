@@ -6,11 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip import GaitLibrary, make_env
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.policy.symmetry import Symmetrised, action_mirror, observation_mirror
-from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
+from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 
 def test_mirror_is_its_own_inverse() -> None:
@@ -18,35 +17,6 @@ def test_mirror_is_its_own_inverse() -> None:
         values = torch.randn(3, size)
         assert not torch.equal(mirror(values), values)
         assert torch.equal(mirror(mirror(values)), values)
-
-
-def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) -> None:
-    """Half a stride later the reference is the mirror image, so robot 1 starts there.
-
-    The pelvis is not quite symmetric (its centre of mass is 0.3 mm off centre), so the images
-    diverge slowly: after four policy steps they agree to a thousandth.
-    """
-    # the noise of sensors has no mirror image
-    perfect = {"start": ReferenceStart(library), "estimator": TrueState()}
-    env = make_env(num_envs=2, library=library, drop=["noise"], replace=perfect, seed=0)
-    phase = torch.tensor([[0.2], [0.7]])
-    start = env.reset().empty()
-    start["command"], start["phase"] = torch.full((2, 1), 1.0), phase
-    td = env.reset(start)
-    mirror, mirror_action = observation_mirror(), action_mirror()
-    generator = torch.Generator().manual_seed(0)
-    # contacts and the stiff loops amplify the pelvis' asymmetry most in accelerations
-    slow = torch.ones(64, dtype=torch.bool)
-    slow[8:14] = slow[24:34] = slow[40:46] = False
-    for _ in range(4):
-        images = mirror(td["observation"][1]), td["observation"][0]
-        torch.testing.assert_close(images[0][slow], images[1][slow], atol=2e-3, rtol=0)
-        action = 0.1 * torch.randn(10, generator=generator)
-        td["action"] = torch.stack([action, mirror_action(action)])
-        after = env.step(td)["next"]
-        for name, term in after["reward_terms"].items():
-            torch.testing.assert_close(term[0], term[1], atol=5e-3, rtol=0, msg=name)
-        td = after
 
 
 def test_symmetrised_network_is_equivariant() -> None:

@@ -1,7 +1,5 @@
 """Ablations of walks in all directions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The recipe that builds the gait library."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

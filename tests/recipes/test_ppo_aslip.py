@@ -1,7 +1,5 @@
 """The PPO recipe trains from end to end, resumes, and accepts custom parts."""
 
-from __future__ import annotations
-
 import csv
 import math
 from dataclasses import replace

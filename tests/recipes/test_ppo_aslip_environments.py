@@ -1,7 +1,5 @@
 """The PPO recipe trains and evaluates on the environments of its presets and on custom ones."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -53,7 +51,7 @@ def test_presets_set_their_environments() -> None:
         assert "StaggeredEnds" in envs[0].transform_names
         assert "StaggeredEnds" not in envs[1].transform_names
     for name, (_, intervals) in found.items():
-        one_speed = name in ("paper", "single-reference")
+        one_speed = name in ("paper", "single_reference")
         assert intervals == [math.inf if one_speed else 8.0, math.inf]
     trained, evaluated = found["robust"][0]
     assert trained.reset()["observation"].shape == evaluated.reset()["observation"].shape
@@ -63,7 +61,7 @@ def test_presets_set_their_environments() -> None:
     for env in found["truth"][0]:
         assert "noise" not in env.transform_names
         assert any(isinstance(t, TrueState) for t in env.transforms)
-    assert found["single-reference"][0][0].reset()["observation"].shape[-1] == 49
+    assert found["single_reference"][0][0].reset()["observation"].shape[-1] == 49
     assert "feedforward" not in found["paper"][0][1].transform_names
 
 
@@ -83,7 +81,7 @@ def test_only_training_has_coarse_physics(tmp_path: Path) -> None:
     physics = {name: preset.physics_timestep for name, preset in PRESETS.items()}
     assert {name for name in physics if physics[name] == 0.0005} == {
         "paper",
-        "single-reference",
+        "single_reference",
         "straight",
     }
 

@@ -1,7 +1,5 @@
 """A training in all directions runs from a library's file to walks over its region."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

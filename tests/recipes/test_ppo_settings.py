@@ -1,7 +1,5 @@
 """Settings of trainings and environments: wrong ones are refused by name."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The recipe that walks a policy: table, log, viewer and film."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import sys
@@ -13,12 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.errors import (
-    AslipError,
-    ConfigurationError,
-    SpeedOutOfRangeError,
-    one_line_errors,
-)
+from aslip.errors import AslipError, ConfigurationError, SpeedOutOfRangeError, one_line_errors
 from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
 from aslip.robot import CASSIE

@@ -7,14 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from aslip.errors import GaitOptimizationError
-from aslip.rom import (
-    DIRECTION_MODEL,
-    Mode,
-    mirror,
-    optimize,
-    optimize_gait,
-    optimize_gaits,
-)
+from aslip.rom import DIRECTION_MODEL, Mode, mirror, optimize, optimize_gait, optimize_gaits
 from aslip.rom.arc import twist_pose
 from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS

@@ -157,16 +157,12 @@ def test_arrays_are_read_only_copies(gait):
     assert gait.time[0] == 0.0
 
 
-def test_missing_field_is_named(gait):
+def test_missing_fields_and_unreadable_certificates_are_named(gait):
     arrays = gait.to_arrays()
+    with pytest.raises(FileDamagedError, match="unreadable"):
+        Gait.from_arrays(arrays | {"certificate": np.array("{")})
     del arrays["control"]
     with pytest.raises(FileDamagedError, match="control"):
-        Gait.from_arrays(arrays)
-
-
-def test_unreadable_certificate_is_reported(gait):
-    arrays = gait.to_arrays() | {"certificate": np.array("{")}
-    with pytest.raises(FileDamagedError, match="unreadable"):
         Gait.from_arrays(arrays)
 
 

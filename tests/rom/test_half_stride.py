@@ -5,14 +5,14 @@ import pytest
 from aslip.rom import SlipParameters
 from aslip.rom.certificate import KKT_TOLERANCE
 from aslip.rom.certify import certify, kkt_residual, rows
-from aslip.rom.half_stride import fold, walking_problem
+from aslip.rom.half_stride import fold, half_stride_problem
 
 STEP = 1e-6
 
 
 @pytest.fixture(scope="module")
 def problem():
-    return walking_problem(SlipParameters())
+    return half_stride_problem(SlipParameters())
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_kkt_residual_detects_each_violation(gradient, g, lam, expected):
 
 def test_multipliers_of_inactive_bounds_fail_the_certificate(monkeypatch):
     """Complementarity: after bounds move away by 0.1, their multipliers belong to no bound."""
-    problem, speed = walking_problem(SlipParameters(), "mean"), 1.0
+    problem, speed = half_stride_problem(SlipParameters(), "mean"), 1.0
     problem.opti.set_value(problem.command, speed)
     problem.start_from(problem.rough_guess(speed))
     problem.opti.solve()

@@ -7,13 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from aslip.errors import ConfigurationError
-from aslip.rom import (
-    Mode,
-    SlipParameters,
-    Standing,
-    optimize_gait,
-    optimize_transitions,
-)
+from aslip.rom import Mode, SlipParameters, Standing, optimize_gait, optimize_transitions
 
 from .laws import check_velocities, derivative
 

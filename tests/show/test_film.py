@@ -1,7 +1,5 @@
 """Films have their frames, or are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

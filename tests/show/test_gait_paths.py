@@ -1,7 +1,5 @@
 """Picture of gaits from above."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aslip.library import GaitLibrary

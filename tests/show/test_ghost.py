@@ -1,7 +1,5 @@
 """Ghosts are the reference at the robot, and footholds follow from the gaits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +17,7 @@ from tests.library.bent import symmetric_library
 
 
 def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:
-    reference = library.lookup(torch.tensor([[phase]]), torch.tensor([[speed]])).to_tensordict()
+    reference = vars(library.lookup(torch.tensor([[phase]]), torch.tensor([[speed]])))
     turn = torch.tensor([[np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]])
     truth = TensorDict(
         pelvis_position=torch.tensor([[3.0, 2.0, 0.7]]), pelvis_orientation=turn, batch_size=1
@@ -82,7 +80,7 @@ def _turning(phase: float, command: tuple[float, ...], yaw: float) -> TensorDict
     """Instant on a turning gait, with the pelvis at the yaw of the reference's body."""
     found = symmetric_library().lookup(torch.tensor([[phase]]), torch.tensor([command]))
     td = _instant(GaitLibrary.load(), phase, 0.0, yaw + float(found.body_heading))
-    return td.set("reference", found.to_tensordict())
+    return td.set("reference", vars(found))
 
 
 def test_on_turns_feet_count_from_the_mean_heading() -> None:

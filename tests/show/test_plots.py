@@ -1,7 +1,5 @@
 """Figures of trainings show what their data says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

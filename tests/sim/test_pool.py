@@ -1,7 +1,5 @@
 """Simulations in parts equal simulations in one, bit for bit."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 import threading

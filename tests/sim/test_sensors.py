@@ -3,8 +3,6 @@
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import mujoco
@@ -17,10 +15,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import SimulationPool, Simulations
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS
-from aslip.sim.sensors import (
-    JOINT_VELOCITY_FILTER,
-    Sensors,
-)
+from aslip.sim.sensors import JOINT_VELOCITY_FILTER, Sensors
 
 RATE = 1 / CASSIE.physics_timestep
 # radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot
@@ -56,7 +51,7 @@ class Bench:
             self.qpos[0, self.indices.motor_qpos] = now
             self.qpos[0, self.indices.joint_qpos] = now
             self.sensors.read(k % CASSIE.substeps, self.qpos, self.qvel)
-            self.sensors.feel(k % CASSIE.substeps, self.qacc)
+            self.sensors.record_acceleration(k % CASSIE.substeps, self.qacc)
             for name, record in records.items():
                 record.append(getattr(self.sensors, name)[0].copy())
             if k % CASSIE.substeps == CASSIE.substeps - 1:

@@ -1,7 +1,5 @@
 """Settings of a run in a temporary folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

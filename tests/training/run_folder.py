@@ -1,7 +1,5 @@
 """Run folders with checkpoints of a small network."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

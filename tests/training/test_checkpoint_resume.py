@@ -1,7 +1,5 @@
 """A stopped and resumed training equals an uninterrupted one bit for bit."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
@@ -35,7 +33,6 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import read_progress
-from aslip.training.run import TrainingRun
 from aslip.transforms import Difficulty, ObservationNoise, RandomDynamics, RandomPushes
 from recipes import ppo_aslip
 from tests.helpers import MakeEnv, differing, identical
@@ -243,14 +240,6 @@ def two_updates(
     folder = tmp_path_factory.mktemp("runs") / "two"
     config = replace(TINY, out=folder, total_steps=128, eval_interval=64)
     return config, train(config)
-
-
-def test_a_training_stopped_before_its_first_checkpoint_starts_from_the_beginning(
-    two_updates: tuple[ppo_aslip.Config, dict[str, Any]], tmp_path: Path
-) -> None:
-    config = replace(two_updates[0], out=tmp_path / "run")
-    TrainingRun(config.out, config, resume=False).log(64, {"value": 1.0})
-    assert resume_training(config) == two_updates[1]
 
 
 def test_resuming_a_finished_training_changes_nothing(

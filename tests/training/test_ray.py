@@ -1,7 +1,5 @@
 """Robots in Ray actors: samples, weights, trainings on two nodes, and the end of the processes."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os
@@ -50,7 +48,7 @@ class Learner:
     normalizer: RunningNormalizer
 
     @classmethod
-    def make(cls) -> Learner:
+    def make(cls) -> "Learner":
         torch.manual_seed(0)
         normalizer = RunningNormalizer(64)
         shape = PolicyShape(symmetric=True, std=1.0)  # this actor soon falls

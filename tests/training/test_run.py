@@ -1,7 +1,5 @@
 """Folder of a run: kept settings, never overwritten, resumed with its own settings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,11 +13,7 @@ from aslip.training import loop
 from aslip.training import run as run_module
 from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
-from tests.training.run_folder import (
-    Settings,
-    constant_network,
-    open_run,
-)
+from tests.training.run_folder import Settings, constant_network, open_run
 from tests.training.trainings import quiet
 
 

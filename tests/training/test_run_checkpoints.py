@@ -1,7 +1,5 @@
 """Checkpoints of a run: rotation, interruption, and resuming from the newest intact one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import zipfile
@@ -156,28 +154,20 @@ def test_signals_that_are_ignored_or_handled_do_not_end_a_training(settings: Set
     assert saved_steps(settings) == [10, 20]
 
 
-def _damage(path: Path, how: str) -> None:
-    """Make a file unreadable; "weights" leaves all but one byte of its largest part intact."""
+def _damage(path: Path) -> None:
+    """Change one byte of a file's largest part."""
     whole = bytearray(path.read_bytes())
-    if how == "weights":
-        with zipfile.ZipFile(path) as archive:
-            largest = max(archive.infolist(), key=lambda info: info.file_size)
-        whole[largest.header_offset + 200] ^= 1
-    content = {"truncated": whole[:-200], "empty": b"", "foreign": b"hello", "weights": whole}
-    path.write_bytes(content[how])
+    with zipfile.ZipFile(path) as archive:
+        largest = max(archive.infolist(), key=lambda info: info.file_size)
+    whole[largest.header_offset + 200] ^= 1
+    path.write_bytes(whole)
 
 
-DAMAGES = ["truncated", "empty", "foreign", "weights"]
-
-
-@pytest.mark.parametrize("how", DAMAGES)
-def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(
-    settings: Settings, how: str
-) -> None:
+def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(settings: Settings) -> None:
     """A message says so, and the damaged file is renamed, so that it cannot block new ones."""
     save_steps(open_run(settings), 10, 20)
     newest = checkpoints(settings)[-1]
-    _damage(newest, how)
+    _damage(newest)
     net, run = constant_network(0.0), open_run(settings, resume=True)
     with quiet() as messages:
         kept = run.restore({"net": net})
@@ -222,7 +212,7 @@ def test_a_run_with_only_damaged_checkpoints_cannot_resume(settings: Settings) -
     save_steps(open_run(settings), 10, 20)
     paths = checkpoints(settings)
     for path in paths:
-        _damage(path, "weights")
+        _damage(path)
     with quiet(), pytest.raises(FileDamagedError, match="no checkpoint to resume from") as info:
         open_run(settings, resume=True).restore({"net": constant_network(0.0)})
     assert all(path.name in str(info.value) for path in paths)

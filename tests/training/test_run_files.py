@@ -1,7 +1,5 @@
 """Files of a run: full disks, rows of progress, TensorBoard."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tiny trainings, killed or not, and comparison of their results."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """The policy's action becomes a motor target, and is stored as the last action."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

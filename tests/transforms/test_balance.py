@@ -1,7 +1,5 @@
 """Balance on both feet, from estimates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """TorchRL's contract of transforms, situation by situation, for every public transform."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

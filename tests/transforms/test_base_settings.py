@@ -1,7 +1,5 @@
 """Transforms reject invalid settings, and invalid commands and phases from callers."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Command and clock: drawn at resets, held or advanced at steps, settable by callers."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase

@@ -1,13 +1,9 @@
 """Difficulty rises with a robot's steps, and narrows dynamics and pushes."""
 
-from __future__ import annotations
-
-from functools import partial
-
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import SerialEnv, StepCounter
+from torchrl.envs import StepCounter
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
@@ -27,19 +23,6 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
         pushes=RandomPushes(20.0, 0.03, 0.03, difficulty_key="difficulty"),
     )
     return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"], seed=0)
-
-
-def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
-    env, seen = make(2), []
-    td = env.reset()
-    for _ in range(7):
-        seen.append(td["difficulty"])
-        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(2, 10)))
-    seen = torch.cat(seen, dim=-1)
-    torch.testing.assert_close(seen[0], torch.tensor([0, 0.2, 0.4, 0.6, 0.8, 1, 1]))
-    td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
-    assert td["difficulty"].flatten().tolist() == [1.0, 1.0]
-    assert env.reset()["difficulty"].sum() == 0
 
 
 def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
@@ -129,12 +112,3 @@ def test_impulses_grow_from_zero() -> None:
     assert not forces[0].any()
     assert forces[2].norm(dim=-1).min() > 0
     torch.testing.assert_close(forces[1], forces[2] / 2)
-
-
-def test_workers_keep_their_own_difficulties() -> None:
-    serial = SerialEnv(2, partial(make, 1))
-    td, bad = serial.reset(), torch.zeros(2, 1, 10)
-    bad[1] = torch.nan
-    for action in (torch.zeros(2, 1, 10), bad, torch.zeros(2, 1, 10)):
-        _, td = serial.step_and_maybe_reset(td.set("action", action))
-    assert td["difficulty"].flatten().tolist() == pytest.approx([0.6, 0.6])

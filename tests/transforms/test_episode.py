@@ -1,7 +1,5 @@
 """First episodes end at different times; later episodes have full length."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter

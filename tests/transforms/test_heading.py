@@ -1,7 +1,5 @@
 """Robots that start at any place and yaw walk as straight as those that start at the origin."""
 
-from __future__ import annotations
-
 import math
 from typing import cast
 

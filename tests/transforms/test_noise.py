@@ -3,10 +3,7 @@
 Statistics are compared within 5 standard errors of the estimate, with fixed seeds.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
@@ -303,14 +300,11 @@ def test_given_levels_replace_only_those_of_their_sensors() -> None:
     assert noise.levels == {**CASSIE.sensor_noise, "gyro": NoiseLevel(0.1)}
 
 
-def test_a_level_cannot_be_altered() -> None:
+def test_a_level_has_its_own_memory() -> None:
     values = np.array([1.0, 2.0, 3.0])
     level = NoiseLevel(white=values)
     values[0] = 9.0
     assert level == NoiseLevel(white=(1.0, 2.0, 3.0))
-    assert replace(level, bias=1).bias == 1.0
-    with pytest.raises(FrozenInstanceError):
-        level.white = 0.0  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("value", [math.nan, [0.1, -0.1], "0.1", [[0.1], [0.1, 0.2]]])

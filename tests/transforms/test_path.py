@@ -1,7 +1,5 @@
 """Path of a command: arcs, origins on slopes, distances."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

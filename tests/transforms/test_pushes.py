@@ -1,7 +1,5 @@
 """Random pushes reach the simulator, with the impulse and the times of their settings."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

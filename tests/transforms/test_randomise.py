@@ -1,7 +1,5 @@
 """Dynamics and noise of robots vary within the given ranges, and only at resets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Entries of the reference, feedforward, and starts on the reference."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import pytest
@@ -9,16 +7,11 @@ import torch
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 
-from aslip.envs import BatchEnv, default_stack
+from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
-from aslip.transforms import (
-    PhaseClock,
-    ReferenceInjection,
-    ReferenceStart,
-    SpeedCommand,
-)
+from aslip.transforms import PhaseClock, ReferenceInjection, ReferenceStart, SpeedCommand
 from tests.helpers import MakeEnv
 
 
@@ -96,13 +89,6 @@ def test_dropping_a_needed_transform_names_the_missing_entry(
 ) -> None:
     with pytest.raises(UnknownNameError, match=key):
         make(drop=[transform])
-
-
-def test_a_reference_before_its_clock_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
-    stack = default_stack(library)
-    order = ["reference", *(name for name in stack if name != "reference")]
-    with pytest.raises(UnknownNameError, match="nothing before it in the stack"):
-        make(stack={name: stack[name] for name in order})
 
 
 def test_a_partial_reset_puts_some_robots_on_the_reference(

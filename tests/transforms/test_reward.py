@@ -1,7 +1,5 @@
 """Reward terms, their weighted sum, and ends of episodes."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -9,7 +7,6 @@ from torch import Tensor
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import default_stack
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
@@ -77,14 +74,6 @@ def test_a_term_that_reads_a_missing_entry_is_refused(make: MakeEnv) -> None:
     term = RewardTerm("com_vel", lambda x: x, [("truth", "pelvis_speed")])
     with pytest.raises(UnknownNameError, match="pelvis_speed"):
         make(replace={"com_vel": term})
-
-
-def test_a_sum_before_its_terms_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
-    """Otherwise the reward would silently be zero."""
-    stack = default_stack(library)
-    order = ["reward", *(name for name in stack if name != "reward")]
-    with pytest.raises(UnknownNameError):
-        make(stack={name: stack[name] for name in order})
 
 
 # ----------------------------------------------------------- ends of episodes

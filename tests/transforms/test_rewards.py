@@ -1,7 +1,5 @@
 """Reward terms against values computed by hand, and their symmetries."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any
@@ -49,13 +47,6 @@ def _terms(x: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 # ----------------------------------------------------------------- by hand
-
-
-def test_com_vel_is_the_euclidean_distance() -> None:
-    """Errors of 0.3 and 0.4 m/s along two axes have the norm 0.5 m/s, not 0.7."""
-    reward = rewards.com_vel(LEVEL, torch.tensor([1.3, 0.4, 0.0]), torch.tensor([1.0, 0.0, 0.0]))
-    assert reward.shape == (1,)
-    assert reward.item() == pytest.approx(math.exp(-0.5))
 
 
 def test_com_vel_is_compared_in_the_pelvis_frame() -> None:

@@ -1,7 +1,5 @@
 """Rotations in torch equal SciPy's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

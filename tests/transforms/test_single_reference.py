@@ -1,7 +1,5 @@
 """The single-reference baseline: rewards computed by hand, inputs, stack and training."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -122,7 +120,7 @@ def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
 
 def test_the_recipe_saves_the_name_of_the_stack(tmp_path: Path) -> None:
     config = replace(
-        PRESETS["single-reference"], out=tmp_path, num_envs=4, samples=32, total_steps=32,
+        PRESETS["single_reference"], out=tmp_path, num_envs=4, samples=32, total_steps=32,
         minibatch=16, eval_steps=5,
     )  # fmt: skip
     ppo_aslip.main(config, **environments(config.preset))

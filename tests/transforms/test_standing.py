@@ -1,7 +1,5 @@
 """Standing on command: clock, filter, and the reference through stop, standing and start."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -22,17 +20,6 @@ from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
 
 PERIOD = CASSIE.policy_period
-
-
-@pytest.fixture(scope="module")
-def walking() -> GaitLibrary:
-    return standing_library()
-
-
-@pytest.fixture(scope="module")
-def table(walking: GaitLibrary) -> TransitionTable:
-    assert walking.transitions is not None
-    return walking.transitions
 
 
 def _run(
@@ -271,5 +258,3 @@ def test_stand_commands_change_at_their_rate() -> None:
 def test_library_without_stop_and_start_has_no_clock_for_them() -> None:
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
         StandClock(symmetric_library())
-    with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
-        directions_stack(symmetric_library())

@@ -1,7 +1,5 @@
 """Evaluation at many speeds: lengths, returns, criteria and table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -52,12 +50,9 @@ def test_evaluation_equals_single_robot_rollouts(make: MakeEnv) -> None:
     assert len({result.steps for result in results}) > 1  # they do not end together
 
 
-def test_refuses_environment_with_another_number_of_robots(make: MakeEnv) -> None:
+def test_refuses_environments_of_other_robots_or_without_the_truth(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match="one robot for each of the 3 speeds, got 2"):
         evaluate(limp(), make(num_envs=2), SPEEDS)
-
-
-def test_refuses_environment_that_hides_the_truth(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"truth.*keep"):
         evaluate(limp(), make(num_envs=len(SPEEDS), keep=["observation"]), SPEEDS)
 

@@ -1,7 +1,5 @@
 """Policy steps in a time; pushes and their text."""
 
-from __future__ import annotations
-
 import pytest
 
 from aslip.errors import ConfigurationError

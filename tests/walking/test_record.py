@@ -1,7 +1,5 @@
 """Recorded arrays equal the log of the same walk."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

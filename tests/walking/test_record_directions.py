@@ -1,7 +1,5 @@
 """Recording and evaluation of walks in all directions."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Recording and interactive walks of robots that can stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tensordict.utils import NestedKey

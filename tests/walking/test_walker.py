@@ -1,7 +1,5 @@
 """`Walker`: one robot that takes commands step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

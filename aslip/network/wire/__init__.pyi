@@ -20,7 +20,6 @@ from .link import Counters as Counters
 from .link import Header as Header
 from .link import Link as Link
 from .packets import CASSIE_OUT as CASSIE_OUT
-from .packets import PACKETS as PACKETS
 from .packets import PD_IN as PD_IN
 from .packets import STATE_OUT as STATE_OUT
 from .packets import USER_IN as USER_IN

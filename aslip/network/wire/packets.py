@@ -201,6 +201,3 @@ CASSIE_OUT: Final = Packet(
     ),
 )
 """Readings of all sensors, 697 bytes."""
-
-PACKETS: Final = (PD_IN, USER_IN, STATE_OUT, CASSIE_OUT)
-"""The four packets."""

@@ -194,7 +194,7 @@ class DrakeSimulation:
         self._read_state()
         self._loads.add(force[None], self._joint_torque(), self._qvel)
         self._acceleration = (self._qvel - before) / self.robot.physics_timestep
-        sensors.feel(index, self._acceleration)
+        sensors.record_acceleration(index, self._acceleration)
 
     def _joint_torque(self) -> np.ndarray:
         """Torques (1, 32) of the motors at the joints, in the order of velocities [N m]."""

@@ -1,7 +1,5 @@
 """Falls in sudden changes of the command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

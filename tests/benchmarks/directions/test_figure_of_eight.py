@@ -1,7 +1,5 @@
 """Walks along a figure of eight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Stops, standing and starts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,8 +34,6 @@ def test_stops_standing_and_starts_are_measured(
     assert walk["fell"] in ("stand", "start")
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
         stops.main(stops.Config(library=gaits, out=tmp_path), limp())
-    with pytest.raises(ConfigurationError, match="duration must be"):
-        stops.Config(duration=0.1)
 
 
 def test_walks_that_stop_have_sensor_noise_of_their_own() -> None:

@@ -1,7 +1,5 @@
 """The swing's demand on the motors follows from speed, and the limit from the drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gaits in several directions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

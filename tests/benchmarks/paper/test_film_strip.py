@@ -1,7 +1,5 @@
 """Film strips of a stride."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Foot placement of policies and logs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Vertical ground forces of robot and model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from benchmarks.common import Subject
 from benchmarks.paper import ground_force
@@ -49,11 +46,6 @@ def test_the_table_names_a_fall_and_a_robot_that_stands(
     row = {"method": "ASLIP", "speed": 0.5, **ground_force.profile(force)}
     assert row["failed"] == failed
     assert f"| ASLIP | 0.5 | {failed} |" in ground_force.table([row])
-
-
-def test_policies_for_other_gaits_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="'directions' follows gaits in all directions"):
-        ground_force.main(Config(policy=("straight", "directions"), out=tmp_path))
 
 
 @pytest.mark.usefixtures("made", "falling")

@@ -1,7 +1,5 @@
 """Ground forces without a policy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from benchmarks.paper import open_loop_force

@@ -1,7 +1,5 @@
 """Step frequency of robot and model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Velocity tracking of policies and logs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark of physics engines walks, and sums up falls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

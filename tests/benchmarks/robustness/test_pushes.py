@@ -1,7 +1,5 @@
 """Pushes of walking robots."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Walks of changed robots and floors."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -10,12 +8,7 @@ import pytest
 
 from benchmarks.robustness import sweeps
 from benchmarks.robustness.parameters import Sweeps
-from benchmarks.robustness.sweeps import (
-    SweepResult,
-    measure_sweeps,
-    sweep_rows,
-    trials,
-)
+from benchmarks.robustness.sweeps import SweepResult, measure_sweeps, sweep_rows, trials
 from tests.benchmarks.robustness import BAR, NO_SWEEPS, SHIPPED
 
 

@@ -1,7 +1,5 @@
 """Quality of walks: report, methods with seeds, and quantities of made-up walks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Values of the paper's claims, and the report on them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
@@ -193,9 +191,9 @@ def test_report_has_two_tables_with_verdicts(
     assert lines["samples"].endswith("|  | not measured |  | not measured |")
     assert lines["settling"].endswith("| 1.40 | PASS |")
     assert "paper's settings: 1 PASS, 1 FAIL, 1 undecided, 11 not measured" in printed
-    assert "Targets, default: 2 PASS, 3 not measured." in printed
+    assert "Targets, straight: 2 PASS, 3 not measured." in printed
     # seed, commit and budget of shipped policies are on their cards
-    assert "- default: `straight` (seed 10, commit " in printed
+    assert "- straight: `straight` (seed 10, commit " in printed
     rows = json.loads((tmp_path / "claims.json").read_text())
     assert len(rows["sentences"]) == len(SENTENCES)
     assert len(calls) == 5

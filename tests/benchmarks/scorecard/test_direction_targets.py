@@ -1,7 +1,5 @@
 """Targets of walks in all directions: values, report, and a short run."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

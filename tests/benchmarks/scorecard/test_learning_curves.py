@@ -1,7 +1,5 @@
 """Learning curves: reports of runs, their record, and trainings that are started."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -159,7 +157,7 @@ def test_walks_in_all_directions_have_their_own_recipe(
 
 def test_baseline_learns_with_the_settings_of_the_paper() -> None:
     baseline = training_settings(PRESETS, learning_curves.VARIANTS["baseline"])
-    assert baseline.preset == "single-reference"
+    assert baseline.preset == "single_reference"
     paper = asdict(PRESETS["paper"])
     other = {name for name, value in asdict(baseline).items() if value != paper[name]}
     assert other == {"preset", "out", "total_steps"}  # the benchmark gives the last two

@@ -1,7 +1,5 @@
 """Records of measured values: kept, compared and refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

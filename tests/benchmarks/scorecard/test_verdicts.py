@@ -1,6 +1,4 @@
-"""Claims are judged by values of several seeds."""
-
-from __future__ import annotations
+"""Claims have verdicts on the values of several seeds."""
 
 import math
 
@@ -10,7 +8,7 @@ from aslip.base.interval import Interval
 from benchmarks.common import table
 from benchmarks.scorecard import direction_list, direction_targets
 from benchmarks.scorecard.paper_list import SENTENCES, TARGETS
-from benchmarks.scorecard.verdicts import Claim, judge, judged_rows
+from benchmarks.scorecard.verdicts import Claim, verdict, verdict_rows
 
 DIRECTIONS = direction_list.TARGETS
 ALL = {claim.name: claim for claim in (*SENTENCES, *TARGETS, *DIRECTIONS)}
@@ -36,7 +34,7 @@ def test_sentences_on_feet_need_more_than_zero() -> None:
         assert not ALL[name].is_met(0.0)
         assert ALL[name].is_met(value)
     assert ALL["feet to 1.0 m/s"].is_met(3.0)
-    assert judge(ALL["wider feet"], seeds(0.0, 0.0))["verdict"] == "FAIL"
+    assert verdict(ALL["wider feet"], seeds(0.0, 0.0))["verdict"] == "FAIL"
 
 
 @pytest.mark.parametrize(
@@ -54,27 +52,27 @@ def test_sentences_on_feet_need_more_than_zero() -> None:
     ],
 )
 def test_verdict_by_interval_over_seeds(each: list[float], expected: str) -> None:
-    assert judge(Claim("any", "x", at_most=0.5 + 0.1), seeds(*each))["verdict"] == expected
+    assert verdict(Claim("any", "x", at_most=0.5 + 0.1), seeds(*each))["verdict"] == expected
     mirrored = Claim("any", "x", at_least=-0.6)
-    assert judge(mirrored, seeds(*(-value for value in each)))["verdict"] == expected
+    assert verdict(mirrored, seeds(*(-value for value in each)))["verdict"] == expected
 
 
 def test_verdict_by_each_seed() -> None:
     """One seed that misses fails the row, one far within the limit does not blur it."""
     claim = Claim("humps", "x", at_most=0.7, every_seed=True)
     for each, expected in (([0.1, 0.69, 0.68], "PASS"), ([0.3, 0.3, 0.3, 0.3, 0.8], "FAIL")):
-        assert judge(claim, seeds(*each))["verdict"] == expected
-    assert judge(claim, seeds(0.1))["verdict"] == "met by one seed"
+        assert verdict(claim, seeds(*each))["verdict"] == expected
+    assert verdict(claim, seeds(0.1))["verdict"] == "met by one seed"
 
 
 def test_shares_of_walks_have_an_interval_if_all_seeds_are_equal() -> None:
     """Wilson's lower limit is 97.7 % if 160 of 160 walks survive, and above 98 % for 400 of 400."""
     claim = ALL["motors"]
-    few, many = (judge(claim, seeds(*[100.0] * count), 80) for count in (2, 5))
+    few, many = (verdict(claim, seeds(*[100.0] * count), 80) for count in (2, 5))
     assert few["interval"]["low"] == pytest.approx(97.66, abs=0.01)
     assert few["interval"]["high"] == few["interval"]["mean"] == 100.0
     assert [few["verdict"], many["verdict"]] == ["undecided", "PASS"]
-    spread = judge(claim, seeds(100.0, 96.25), 80)["interval"]  # Student's is wider
+    spread = verdict(claim, seeds(100.0, 96.25), 80)["interval"]  # Student's is wider
     assert (spread["low"], spread["high"]) == (pytest.approx(74.3, abs=0.1), 100.0)
 
 
@@ -95,11 +93,11 @@ def test_shares_of_walks_have_an_interval_if_all_seeds_are_equal() -> None:
     ],
 )
 def test_a_row_has_limit_value_and_verdict(name: str, values: list[Interval], shown: str) -> None:
-    rows = judged_rows([ALL[name]], {"policy": [{name: value} for value in values]})
+    rows = verdict_rows([ALL[name]], {"policy": [{name: value} for value in values]})
     assert table(direction_targets.COLUMNS, rows).endswith(shown)
 
 
-def test_a_claim_that_a_seed_lacks_is_not_judged_by_the_others() -> None:
+def test_a_claim_that_a_seed_lacks_has_no_verdict() -> None:
     values = [{"drift": one} for one in seeds(0.1, 0.2)]
-    (row,) = judged_rows([ALL["drift"]], {"policy": [*values, {}]})
+    (row,) = verdict_rows([ALL["drift"]], {"policy": [*values, {}]})
     assert row["found"]["policy"] == {"each": [], "interval": None, "verdict": "not measured"}

@@ -1,7 +1,5 @@
 """Errors and cost of the state estimator."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Start of exported policies."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.system import export_speed

@@ -1,13 +1,11 @@
 """Walks with lost and late datagrams, in simulated time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from aslip.network.runner.load import Loaded, load
 from aslip.network.wire import PD_IN, STATE_OUT, Link
-from benchmarks.system.runner import Config, LossyPath, lossy_walk
+from benchmarks.system.runner import Config, LossyPath, lossy_walk, tick_costs
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +46,9 @@ def test_a_walk_survives_a_fifth_lost_and_ends_without_a_network(loaded: Loaded)
     walked, reason, _ = lossy_walk(loaded, 0.5, Config(duration=0.9, loss=0.995), seed=0)
     assert "no packet for" in reason
     assert walked < 0.9
+
+
+def test_the_cost_of_a_tick_is_a_part_of_its_time() -> None:
+    lines = tick_costs(Config(part="tick", duration=0.01)).splitlines()
+    assert [line.split(":")[0] for line in lines] == ["tick in PD mode", "tick in raw mode"]
+    assert all(0.01 < float(line.split()[-4]) < 50 for line in lines)

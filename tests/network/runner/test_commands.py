@@ -1,7 +1,5 @@
 """Schedules, keys of a pseudo terminal, and datagrams on loopback."""
 
-from __future__ import annotations
-
 import math
 import os
 import socket

@@ -1,7 +1,5 @@
 """Runs against the twin over loopback: lockstep, real time, damping, logs and their replay."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator
@@ -21,14 +19,7 @@ from aslip.library import GaitLibrary, Schedule
 from aslip.log import read
 from aslip.network.runner.commands import Scheduled
 from aslip.network.runner.load import Loaded, load, warm_up
-from aslip.network.runner.loop import (
-    LATE,
-    Run,
-    Tally,
-    run_lockstep,
-    run_real_time,
-    take_priority,
-)
+from aslip.network.runner.loop import LATE, Run, Tally, run_lockstep, run_real_time, take_priority
 from aslip.network.runner.readings import SensorReadings, StateReadings
 from aslip.network.runner.record import RunLog, replay, run_metadata
 from aslip.network.runner.supervisor import Limits, Request, Stage, Supervisor

@@ -1,7 +1,5 @@
 """`python -m aslip.network.runner` beside `python -m aslip.network.twin`, as in two terminals."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

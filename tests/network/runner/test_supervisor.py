@@ -1,7 +1,5 @@
 """Stages of a run, and each reason to damp, without sockets or clocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace

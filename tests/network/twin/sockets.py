@@ -1,7 +1,5 @@
 """Sockets of twins and clients on loopback, and threads in which robots are served."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

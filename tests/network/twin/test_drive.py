@@ -1,7 +1,5 @@
 """PD control with the numbers of each command, against the PD loop and by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aslip.network.twin import CommandedPD

@@ -1,7 +1,5 @@
 """Twin in another physics engine than MuJoCo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,5 @@
 """A controller at the other end of a socket walks the twin as it walks the simulation."""
 
-from __future__ import annotations
-
-import sys
 from dataclasses import replace
 from typing import cast
 
@@ -15,11 +12,8 @@ from aslip.envs import BatchEnv
 from aslip.library import GaitLibrary
 from aslip.network.twin import TwinRobot, serve_lockstep
 from aslip.network.wire import (
-    LOOPBACK,
     PD_IN,
-    SIMULATOR,
     USER_IN,
-    Address,
     Endpoint,
     cassie_out_to_sensors,
     command_to_pd_in,
@@ -28,7 +22,6 @@ from aslip.network.wire import (
 )
 from aslip.robot import CASSIE
 from aslip.sim import PD, Simulations, Torque
-from tests.helpers import started
 from tests.network.twin.sockets import robot_socket, serving, socket_to
 
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
@@ -150,14 +143,3 @@ def test_commands_that_are_not_finite_move_nothing() -> None:
         client.request(command_to_pd_in(STANDING))
         assert (twin.ticks, twin.divergences) == (1, 0)
         assert server.link.counters.not_finite == 3
-
-
-def test_the_program_serves_a_client() -> None:
-    with started([sys.executable, "-m", "aslip.network.twin", "--port", "0"]) as process:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        port = line.split(f"{SIMULATOR.host}:")[1].split(";")[0]
-        with socket_to(Address(LOOPBACK, int(port))) as client:
-            client.request(command_to_pd_in(STANDING), timeout=30.0)
-        process.send_signal(2)
-        assert "lockstep: 1 ticks\n0 divergences" in process.stdout.read()

@@ -1,7 +1,5 @@
 """Page of the twin: pictures go out, pushes and stops come back."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import sys
@@ -47,7 +45,7 @@ class Page:
     def close(self) -> None:
         self.closed = True
 
-    opened: Page
+    opened: "Page"
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Packets, torques and divergence of the twin, tick by tick."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Packets of the wire against sensor packets, estimates and motor targets: values and orders."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

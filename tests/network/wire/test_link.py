@@ -1,7 +1,5 @@
 """Arithmetic of headers, and counts of what arrives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -77,12 +75,6 @@ def test_late_datagrams_are_dropped(robot: Link, start: int) -> None:
     assert robot.open(_command(start + 1)) is None
     assert robot.open(_command(start + 3)) is not None
     assert robot.counters.late == 1
-
-
-def test_repeated_datagrams_are_dropped(robot: Link) -> None:
-    robot.open(_command(1, 0.1))
-    assert robot.open(_command(1, 0.1)) is None
-    assert robot.counters.repeated == 1
 
 
 def test_a_repeated_number_with_other_content_is_new(robot: Link) -> None:

@@ -1,16 +1,12 @@
 """Packets byte by byte, against the tables of the protocol and Python's `struct`."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
 import pytest
 
 from aslip.errors import ShapeError
-from aslip.network.wire import CASSIE_OUT, PACKETS, PD_IN, STATE_OUT, USER_IN, Packet
-
-every_packet = pytest.mark.parametrize("packet", PACKETS, ids=lambda packet: packet.name)
+from aslip.network.wire import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN, Packet
 
 _LEG = "H7f" * 5 + "6fBH?"
 # payloads of the public C code in `struct`'s notation
@@ -20,6 +16,8 @@ FORMATS = {
     STATE_OUT: "<121f?2f",
     CASSIE_OUT: f"<6i21ifIf?f12ff4f??16f?Hff3f3f3f4fBH???f{_LEG}{_LEG}?4h",
 }
+
+every_packet = pytest.mark.parametrize("packet", FORMATS, ids=lambda packet: packet.name)
 
 # first byte of fields in the protocol's tables
 OFFSETS = {

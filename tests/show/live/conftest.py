@@ -1,7 +1,5 @@
 """Servers and pages that are closed after the test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """Serve a page, and wait for conditions."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

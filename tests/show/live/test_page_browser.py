@@ -1,7 +1,5 @@
 """Headless browser: sliders and buttons of the page act on the robot."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

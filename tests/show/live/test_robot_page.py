@@ -1,7 +1,5 @@
 """Page of a robot that another program moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

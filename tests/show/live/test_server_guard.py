@@ -1,7 +1,5 @@
 """Invalid messages of visitors are dropped or clamped."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Steering in all directions: sliders, texts of keys and gamepads, a ghost that turns along."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Visitor of the page without a browser: raw messages to and from the server."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 # Drake's stubs give arrays a wrong shape
 # pyright: reportReturnType=false
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Contacts of made-up force signals, whose answers are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Mean velocities and yaw rates of walks in all directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Footsteps of a made-up walk."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

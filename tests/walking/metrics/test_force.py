@@ -1,7 +1,5 @@
 """Ground-force profiles with one hump and two."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator

@@ -1,7 +1,5 @@
 """Planted and lifted feet, drift and turn of standing robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

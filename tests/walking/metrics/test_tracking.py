@@ -1,7 +1,5 @@
 """Velocity, tracking and effort of made-up motions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
