@@ -234,7 +234,8 @@ def update_table(config: Config) -> str:
     """Table of times that a training spends on collection and learning."""
     header = ["settings", "samples", "collection [s]", "learning [s]", "share of learning"]
     rows = []
-    for name, preset in ppo_aslip.PRESETS.items():
+    presets = {n: p for n, p in ppo_aslip.PRESETS.items() if p.backend == "batch"}
+    for name, preset in presets.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
         spans = time_iterations(name, training, config.rounds)
         # the first batch only initialises the normaliser

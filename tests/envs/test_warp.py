@@ -17,10 +17,10 @@ import aslip
 from aslip.envs import BatchEnv, SimulatedEnv, WarpEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
+from aslip.robot import CASSIE
 from aslip.sim import DYNAMICS
 from aslip.sim.warp import check_device
 from aslip.transforms import EstimatedState
-from aslip.robot import CASSIE
 from tests.helpers import STANDING as _QPOS
 
 STANDING = _QPOS[CASSIE.indices.motor_qpos.copy()].float()
@@ -38,7 +38,9 @@ def robots() -> WarpEnv:
 def nominal(robots: WarpEnv) -> Iterator[None]:
     """Leave nominal robots behind."""
     yield
-    robots.set_dynamics({name: p.nominal for name, p in DYNAMICS.items() if name != "floor_friction"})
+    robots.set_dynamics(
+        {name: p.nominal for name, p in DYNAMICS.items() if name != "floor_friction"}
+    )
     robots.set_dynamics({"floor_friction": 0.8})
     robots.watch(None)
 
@@ -181,7 +183,10 @@ def test_the_first_packet_after_a_reset_is_of_the_new_state(robots: WarpEnv) -> 
     theirs, ours = batch.reset(request.clone()), robots.reset(request)
     for name in batch.robot.packet_sizes:
         torch.testing.assert_close(
-            ours["sensors", name], theirs["sensors", name], rtol=1e-3, atol=0.05 if name == "accelerometer" else 2e-3
+            ours["sensors", name],
+            theirs["sensors", name],
+            rtol=1e-3,
+            atol=0.05 if name == "accelerometer" else 2e-3,
         )
 
 

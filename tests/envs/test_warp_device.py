@@ -21,7 +21,9 @@ from tests.elsewhere import DEVICE, VISITS, Elsewhere, OnElsewhere, here, there
 class _Simulations(WarpSimulations):
     """Simulations on the CPU whose tensors are elsewhere."""
 
-    def __init__(self, num: int, model: Any, place: torch.device, *args: Any, **limits: Any) -> None:
+    def __init__(
+        self, num: int, model: Any, place: torch.device, *args: Any, **limits: Any
+    ) -> None:
         super().__init__(num, model, torch.device("cpu"), *args, **limits)
         self.snapshot = Snapshot(**there(vars(self.snapshot)))
         self.packets = there(self.packets)
