@@ -43,6 +43,7 @@ if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
+import itertools
 import statistics
 import time
 from collections.abc import Callable
@@ -102,16 +103,10 @@ def main(config: Config) -> None:
             num, seed=0, backend="warp", device=config.device, timestep=config.timestep
         )
         seconds = _times(config, env, subject.policy.to(place))
-        rows = [
-            [
-                str(num),
-                name,
-                f"{1e3 * s:.2f}",
-                f"{num / s:.0f}",
-                f"{100 * seconds[_BOUND] / s:.0f} %",
-            ]
-            for name, s in seconds.items()
-        ]
+        rows = []
+        for name, taken in seconds.items():
+            share = f"{100 * seconds[_BOUND] / taken:.0f} %"
+            rows.append([str(num), name, f"{1e3 * taken:.2f}", f"{num / taken:.0f}", share])
         header = ["N", "part", "a policy step [ms]", "policy steps/s", "of bound"]
         print(markdown(header, rows, ["---:", "---", *["---:"] * 3]), "\n", flush=True)
         del env
@@ -159,7 +154,7 @@ def _training_table(config: Config) -> str:
         settings = replace(settings, minibatch=min(preset.minibatch, samples))
         spans = time_iterations("gpu", settings, 4)
         collecting = statistics.median(got - asked for asked, got in spans[2:])
-        whole = statistics.median(b[0] - a[0] for a, b in zip(spans[2:], spans[3:], strict=False))
+        whole = statistics.median(b[0] - a[0] for a, b in itertools.pairwise(spans[2:]))
         cells = [str(num), str(samples), f"{collecting:.2f}", f"{whole - collecting:.2f}"]
         rows.append([*cells, f"{samples / whole:.0f}"])
     header = ["N", "samples", "collection [s]", "learning [s]", "policy steps/s"]

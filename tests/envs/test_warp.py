@@ -129,7 +129,7 @@ def test_a_diverged_robot_ends_alone(robots: WarpEnv) -> None:
 
 
 def test_a_walk_is_that_of_the_batch() -> None:
-    """Positions differ by 1e-4 after a policy step, from single precision and the feet's contact."""
+    """Positions differ by 1e-4 after a policy step, from single precision and contacts."""
     policy = aslip.load_policy("straight")
     batch = aslip.make_env(num_envs=NUM, seed=0)
     device = aslip.make_env("warp", device="cpu", num_envs=NUM, seed=0)
