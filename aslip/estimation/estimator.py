@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,22 +52,15 @@ class StateEstimator:
     Args:
         robot: robot that sends the packets; `LegKinematics` must support its legs.
         noise: noise that the filter assumes.
-        device: device of packets that are tensors of torch, such as "cuda"; None for arrays.
+        place: what makes constants arrays of the packets' kind; NumPy's by default.
     """
 
     def __init__(
         self,
         robot: Robot = CASSIE,
         noise: FilterNoise | None = None,
-        device: Any = None,
+        place: Callable[[np.ndarray], Array] = np.asarray,
     ) -> None:
-        self.device = device
-        """Device of the packets; None for arrays."""
-        place = np.asarray
-        if device is not None:
-            import torch  # arrays need none
-
-            place = functools.partial(torch.as_tensor, device=device)
         self.robot = robot
         """Robot that sends the packets."""
         self.noise = noise or FilterNoise()

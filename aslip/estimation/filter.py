@@ -28,12 +28,13 @@ fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
-from aslip.base.arrays import Array, copied, is_numpy, namespace, python_function, zeros
+from aslip.base.arrays import Array, copied, namespace, python_function, zeros
 from aslip.base.checks import TINY, check_number
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
@@ -183,6 +184,8 @@ class ContactFilter:
         self, timestep: float, sole_radius: float, sole_half_length: float, noise: FilterNoise
     ) -> None:
         self.noise = noise
+        self.compiled: Callable[..., None] = _step
+        """Function that updates all robots' arrays in place."""
         steps = np.array([noise.slip, noise.slip, noise.sink])
         walk = np.zeros((3, 5))
         walk[:, V] = (timestep * noise.acceleration) ** 2
@@ -240,12 +243,7 @@ class ContactFilter:
 
     def step(self, belief: Belief, motion: FilterInput) -> None:
         """Update `belief` in place with one packet."""
-        if is_numpy(belief.mean):
-            step = _step
-        else:
-            from aslip.estimation.device import step  # arrays need no Warp
-
-        step(
+        self.compiled(
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
             belief.adrift, belief.innovation, motion.acceleration, motion.doubt, motion.sole,
             motion.half_sole, motion.load, motion.fresh, self._settings,
@@ -253,8 +251,8 @@ class ContactFilter:
 
 
 # Compiled loop over robots: NumPy calls on all robots take several times as long. Warp compiles the
-# functions below, too, for GPUs (`aslip.estimation.device`), in double precision: so they have no
-# decimal literals, which Warp would read as single, no powers and no arrays of their own.
+# functions below, too, for GPUs (`aslip.transforms.device_estimator`), in double precision. So they
+# have no decimal literals, which Warp would read as single, no powers and no arrays of their own.
 @compiled
 def _step(
     means: np.ndarray,

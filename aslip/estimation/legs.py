@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aslip.base.arrays import Array, is_numpy, python_function
+from aslip.base.arrays import Array, is_numpy, namespace, python_function
 from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, SIDES, Robot, Side
@@ -92,7 +92,7 @@ class LegKinematics:
 
     def _of_tensors(self, motor_position: Any, joint_position: Any) -> Any:
         """Compute all robots at once by the code of one leg, with robots along the last axis."""
-        leg, batch = _leg_of_tensors(), motor_position.shape[:-1]
+        leg, batch = _leg_of_tensors(namespace(motor_position)), motor_position.shape[:-1]
         motors = motor_position.reshape(-1, 2, 5).permute(1, 2, 0)
         joints = joint_position.reshape(-1, 2, 3).permute(1, 2, 0)
         vectors = motors.new_empty(2, 4, 3, motors.shape[-1])
@@ -224,10 +224,8 @@ def _dot(a: complex, b: complex) -> float:
 
 
 @functools.cache
-def _leg_of_tensors() -> Any:
-    """`_leg` on tensors of torch whose last axis counts robots."""
-    import torch  # arrays need none
-
+def _leg_of_tensors(torch: Any) -> Any:
+    """`_leg` on tensors of torch, the module, whose last axis counts robots."""
     uses: dict[str, Any] = {"np": torch, "complex": torch.complex}
     for function in (_unit, _dot, _to_pelvis, _force):
         uses[function.__name__] = python_function(function, **uses)

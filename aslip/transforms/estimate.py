@@ -138,12 +138,15 @@ class EstimatedState(_Estimator):
         self._command_key, self._mode_key = command_key, mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
+        self._arrays = type(self.estimator) is StateEstimator
 
     def move(self, place: torch.device) -> None:
         """See `SeededTransform.move`."""
         super().move(place)
-        own = self.estimator
-        self.estimator = StateEstimator(own.robot, own.noise, device=place)
+        from aslip.transforms.device_estimator import DeviceEstimator  # needs Warp
+
+        self.estimator = DeviceEstimator(place, self.estimator.robot, self.estimator.noise)
+        self._arrays = False
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
@@ -197,7 +200,7 @@ class EstimatedState(_Estimator):
 
     def _taken(self, value: Tensor) -> Array:
         """Numbers for the estimator, in double precision."""
-        return value.double() if self.estimator.device else value.double().numpy()
+        return value.double().numpy() if self._arrays else value.double()
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""

@@ -16,11 +16,11 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 import aslip
 from aslip.envs import BatchEnv, SimulatedEnv, WarpEnv
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation import StateEstimator
 from aslip.robot import CASSIE
 from aslip.sim import DYNAMICS
 from aslip.sim.warp import check_device
 from aslip.transforms import EstimatedState
+from aslip.transforms.device_estimator import DeviceEstimator
 from tests.helpers import STANDING as _QPOS
 
 STANDING = _QPOS[CASSIE.indices.motor_qpos.copy()].float()
@@ -303,7 +303,7 @@ def test_the_estimator_of_a_device_walks() -> None:
     """The same walk with the estimate of arrays and of tensors."""
     policy = aslip.load_policy("straight")
     rewards = []
-    for estimator in (StateEstimator(), StateEstimator(device="cpu")):
+    for estimator in (None, DeviceEstimator("cpu")):
         env = aslip.make_env(num_envs=2, seed=0, replace={"estimator": EstimatedState(estimator)})
         with torch.no_grad():
             rewards.append(env.rollout(10, policy)["next", "reward"])

@@ -11,10 +11,10 @@ from torch import Tensor
 
 import aslip
 from aslip.envs import StackEnv, WarpEnv, default_stack, directions_stack, randomise_stack
-from aslip.estimation import device as estimator
 from aslip.policy import load_policy
 from aslip.sim import Snapshot
 from aslip.sim.warp import WarpSimulations
+from aslip.transforms import device_estimator
 from tests.elsewhere import DEVICE, VISITS, Elsewhere, OnElsewhere, here, there
 
 
@@ -41,10 +41,10 @@ class _Simulations(WarpSimulations):
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Robots, estimator and random numbers elsewhere."""
-    step, generator = estimator.step, torch.Generator
+    step, generator = device_estimator.step, torch.Generator
     monkeypatch.setattr("aslip.envs.warp.WarpSimulations", _Simulations)
     monkeypatch.setattr("aslip.envs.warp.check_device", lambda _: DEVICE)
-    monkeypatch.setattr(estimator, "step", lambda *arrays: step(*here(list(arrays))))
+    monkeypatch.setattr(device_estimator, "step", lambda *arrays: step(*here(list(arrays))))
     monkeypatch.setattr(torch, "Generator", lambda *_: generator())
     with OnElsewhere(), torch.no_grad():
         yield

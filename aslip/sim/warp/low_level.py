@@ -13,9 +13,9 @@ from typing import Final
 
 import warp as wp
 
-from aslip.base.warp import device_function
 from aslip.sim.drive import motor_limit
 from aslip.sim.readings import MOTOR_VELOCITY_TAPS, filter_step
+from aslip.sim.warp.functions import device_function
 
 wp.set_module_options({"enable_backward": False})
 

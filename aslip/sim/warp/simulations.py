@@ -7,6 +7,7 @@ results are live views of the arrays on the device.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -19,7 +20,6 @@ import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
-from torchrl import torchrl_logger
 
 from aslip.base.checks import check_states
 from aslip.errors import ConfigurationError
@@ -79,13 +79,14 @@ class WarpSimulations:
         wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
         wp.init()
         if not any(Path(wp.config.kernel_cache_dir).glob("*aslip.sim.warp*")):
-            torchrl_logger.info("MuJoCo Warp compiles its kernels once, which takes a minute")
+            print("compiling kernels, once, which takes a minute", file=sys.stderr)
         self._device = wp.device_from_torch(place)
         try:
             with wp.ScopedDevice(self._device):
                 self._make_arrays(num)
                 self._make_tensors()
                 self._capture()
+                wp.synchronize_device()
         except RuntimeError as error:
             if "memory" not in str(error) and "alloc" not in str(error):
                 raise
@@ -354,10 +355,12 @@ class WarpSimulations:
                 f" got {self.model.opt.timestep} s"
             )
         self._robot_watched.fill_(-1 if index is None else index)
+        wp.synchronize_device(self._device)
 
     @property
     def watched(self) -> np.ndarray:
         """(60, 83) substeps of the watched simulation; see `aslip.sim.Simulations.watched`."""
+        wp.synchronize_device(self._device)
         return self._watched.numpy().astype(float)
 
     def _update_derived(self) -> None:
@@ -372,6 +375,7 @@ class WarpSimulations:
 
     def states(self) -> np.ndarray:
         """(n, k) copy of the complete states; see `aslip.sim.Simulations.states`."""
+        wp.synchronize_device(self._device)  # torch's stream is another one than Warp's
         motors, model = self.motors, self.model
         parts = state_parts(model)
         physics = np.tile(_default_state(model), (self.num, 1))
@@ -400,6 +404,7 @@ class WarpSimulations:
             ShapeError: the states have another number or model; nothing is changed.
         """
         states = check_states(states, (self.num, self.state_size))
+        wp.synchronize_device(self._device)
         parts, motors, num = state_parts(self.model), self.motors, self.num
         tick = np.rint(states[:, parts["time"]][:, 0] / self.model.opt.timestep).astype(int)
         for name, array in self._mirrored().items():
@@ -417,6 +422,7 @@ class WarpSimulations:
         joints.assign(joint.reshape(num, joints.shape[2], -1).swapaxes(1, 2))
         motors.position.assign(position)
         motors.velocity.assign(velocity)
+        wp.synchronize_device(self._device)
         self._update_derived()
 
     def _mirrored(self) -> dict[str, wp.array]:

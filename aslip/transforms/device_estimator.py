@@ -1,6 +1,7 @@
-"""Kalman filters on a device: the code of `aslip.estimation.filter`, compiled by Warp.
+"""State estimator on a device: packets, memory and estimates are tensors.
 
-A thread updates one robot, in double precision.
+Its Kalman filters are the code of `aslip.estimation.filter`, compiled by Warp. A thread updates one
+robot, in double precision.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aslip.base.warp import device_function
+from aslip.estimation import FilterNoise, StateEstimator
 from aslip.estimation import filter as code
+from aslip.robot import CASSIE, Robot
+from aslip.sim.warp.functions import device_function
 
 wp.set_module_options({"enable_backward": False})
 
@@ -96,6 +99,26 @@ def _step_robots(
     )  # fmt: skip
 
 
+class DeviceEstimator(StateEstimator):
+    """State estimator of robots on a device; see `StateEstimator`.
+
+    Args:
+        device: device of the packets, such as "cuda" or "cpu".
+        robot: robot that sends the packets.
+        noise: noise that the filter assumes.
+    """
+
+    def __init__(
+        self,
+        device: str | torch.device,
+        robot: Robot = CASSIE,
+        noise: FilterNoise | None = None,
+    ) -> None:
+        wp.init()
+        super().__init__(robot, noise, functools.partial(torch.as_tensor, device=device))
+        self._filter.compiled = step
+
+
 @functools.lru_cache(maxsize=8)
 def _on_device(numbers: tuple[Any, ...], device: str) -> Settings:
     settings = Settings()
@@ -112,7 +135,6 @@ def step(*arrays: Tensor | Any) -> None:
     Args:
         arrays: those of the CPU's function, as tensors of one device; then the settings.
     """
-    wp.init()
     *tensors, settings = arrays
     device = wp.device_from_torch(tensors[0].device)
     numbers = tuple(
