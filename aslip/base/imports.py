@@ -17,6 +17,8 @@ _EXTRAS = {
     "gymnasium": "gym",
     "imageio_ffmpeg": "train",
     "matplotlib": "train",
+    "mlflow": "mlflow",
+    "omegaconf": "mlflow",
     "onnx": "control",
     "onnxruntime": "control",
     "onnxscript": "export",
@@ -27,6 +29,7 @@ _EXTRAS = {
     "tqdm": "train",
     "tyro": "train",
     "viser": "live",
+    "wandb": "wandb",
 }
 
 
