@@ -109,7 +109,7 @@ def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
             print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
             start = time.perf_counter()
             settings = {**budget(config), "out": folder, "seed": seed, "eval_interval": NEVER}
-            settings["resume"] = is_started(folder, config)
+            settings |= {"resume": is_started(folder, config), "logger": config.logger}
             results = experiment.train(experiment.variants[name], settings)
             walks = [asdict(result) for result in results]
             kept = json.dumps({**shared, "walks": walks}, indent=1)

@@ -118,7 +118,7 @@ from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
-from aslip.policy import policy_stack
+from aslip.policy import policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
@@ -137,6 +137,8 @@ def main(config: Config) -> None:
     if config.video is not None:
         check_look(look)
     walker = make_walker(config, schedule)
+    for policy in dict.fromkeys([config.policy, *config.policies]):
+        print(f"policy {policy}: {training_length(policy)}")
     schedule = schedule.of_size(walker.library.command_size)
     try:
         with signals_exit(), contextlib.closing(walker.env):
@@ -203,6 +205,16 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     )
     first = schedule.at(0.0), schedule.stand_at(0.0)
     return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
+
+
+def training_length(policy: str) -> str:
+    """Policy steps for which a policy, maybe of a running training, was trained, in words."""
+    made_by = read_card(policy)["made_by"]
+    steps, settings = made_by.get("steps"), made_by.get("settings")
+    total = settings.get("total_steps") if isinstance(settings, dict) else None
+    if not isinstance(steps, int) or not isinstance(total, int):
+        return "its file does not say how long it was trained"
+    return f"trained for {steps} policy steps" + (f" of {total}" if steps < total else "")
 
 
 def duration(config: Config, schedule: Schedule) -> float:

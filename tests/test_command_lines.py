@@ -13,6 +13,7 @@ import pytest
 
 from aslip.base.command_line import Reports, command_line, prepare_program, program, say
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.policy import read_card
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE
 from recipes.ppo_settings import (
@@ -163,7 +164,8 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     assert f"to continue: {resume_hint}" in output
     assert f"to continue: {resume_hint}" in errors
     assert "saved: " in errors
-    assert not (out / "policy.zip").exists()
+    assert output.startswith(f"{out}: loading ")
+    assert f"-{read_card(out)['made_by']['steps']:012d}.zip" in errors
     assert max(out.glob("checkpoints/*.zip")).name in errors
 
 

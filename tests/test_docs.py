@@ -39,7 +39,9 @@ _SMALLER = {
     "speeds=(0.5, 1.0)": "speeds=(0.5, 1.0), settle=0.3, walk=1.2",
 }
 # programs outside this repository
-_FOREIGN = {"pip", "ray", "rerun", "plotjuggler", "ruff", "pyright"}
+_FOREIGN = {"pip", "ray", "rerun", "plotjuggler", "ruff", "pyright"} | {
+    "tensorboard", "wandb", "mlflow",
+}  # fmt: skip
 # recipes that have presets
 _PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ablate": "TASKS"}
 
