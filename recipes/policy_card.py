@@ -56,6 +56,7 @@ from typing import Any
 
 from tensordict.utils import unravel_key
 
+import aslip.programs  # noqa: F401  for our own benchmarks
 from aslip.base.archive import as_json
 from aslip.base.provenance import provenance
 from aslip.base.tables import markdown

@@ -22,7 +22,7 @@ _EXTRAS = {
     "onnx": "control",
     "onnxruntime": "control",
     "onnxscript": "export",
-    "pinocchio": "there are no wheels of it for Windows; conda install -c conda-forge pinocchio",
+    "pinocchio": "pip install 'pin>=4.1,<5'; on Windows, conda install -c conda-forge pinocchio",
     "pydrake": "drake",
     "ray": "ray",
     "rerun": "dev",
