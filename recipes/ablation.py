@@ -173,7 +173,7 @@ def read_results(folder: Path, expected: Mapping[str, Any]) -> list[WalkResult] 
     if not path.is_file():
         return None
     try:
-        kept = json.loads(path.read_text())
+        kept = json.loads(path.read_text(encoding="utf-8"))
         walks = [WalkResult(**walk) for walk in kept["walks"]]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileDamagedError(

@@ -19,7 +19,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.base.assets import UserPaths
+from aslip.base.assets import UserPaths, asset_path
 from aslip.base.command_line import command_line
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
@@ -149,7 +149,7 @@ def main(config: Config) -> None:
     finally:
         print(f"the robot {'fell after' if walker.fallen else 'walked for'} {walker.time:.2f} s")
         if config.log is not None and config.log.exists():
-            print(LOG_COMMANDS.format(config.log))
+            print(LOG_COMMANDS.format(config.log, asset_path("viewers/foxglove.json")))
     print(table(schedule, rows))
     if config.video is not None:
         make_film(config.video, frames, 1 / (config.steps_per_frame * CASSIE.policy_period), look)
@@ -159,7 +159,7 @@ def main(config: Config) -> None:
 LOG_COMMANDS = """wrote {0}
   python -m aslip.log info {0}             # list its topics
   python -m aslip.log replay --verify {0}  # simulate it again
-  open it in Foxglove with the layout assets/viewers/foxglove.json"""
+  open it in Foxglove with the layout {1}"""
 
 
 def serve(config: Config, walker: Walker) -> None:

@@ -40,7 +40,7 @@ def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str], str]:
             " folder of a run with --out"
         )
     try:
-        settings = dict(json.loads(path.read_text()))
+        settings = dict(json.loads(path.read_text(encoding="utf-8")))
         transforms, command = settings.pop(_TRANSFORMS, {}), settings.pop(_COMMAND, "")
         return settings, dict(transforms), str(command)
     except (ValueError, TypeError) as error:
