@@ -28,10 +28,12 @@ from ablate_settings import DESCRIPTIONS, TASKS, Config
 
 from aslip.base.command_line import preset_command_line, this_command
 from aslip.errors import one_line_errors
+from aslip.training.settings import say_loading
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = preset_command_line(TASKS, DESCRIPTIONS)
+    say_loading(CONFIG.out)
 
 import ablate_directions
 import ablate_straight

@@ -10,6 +10,7 @@ from typing import Final
 from aslip.base.assets import UserPaths
 from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
+from aslip.training.settings import LoggerName
 
 with extras():
     import tyro
@@ -37,6 +38,8 @@ class Config(UserPaths):
     """Folder of all trainings, the table `ablation.md` and the picture `ablation.png`."""
     library: str = "gaits"
     """Library of gaits: a shipped one, or a file."""
+    logger: LoggerName = "none"
+    """Logger of each training, see `ppo_aslip.py`."""
     list: bool = False
     """List the variants and train nothing."""
 

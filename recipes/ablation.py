@@ -109,7 +109,7 @@ def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
             print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
             start = time.perf_counter()
             settings = {**budget(config), "out": folder, "seed": seed, "eval_interval": NEVER}
-            settings["resume"] = is_started(folder, config)
+            settings |= {"resume": is_started(folder, config), "logger": config.logger}
             results = experiment.train(experiment.variants[name], settings)
             walks = [asdict(result) for result in results]
             kept = json.dumps({**shared, "walks": walks}, indent=1)
@@ -173,7 +173,7 @@ def read_results(folder: Path, expected: Mapping[str, Any]) -> list[WalkResult] 
     if not path.is_file():
         return None
     try:
-        kept = json.loads(path.read_text())
+        kept = json.loads(path.read_text(encoding="utf-8"))
         walks = [WalkResult(**walk) for walk in kept["walks"]]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileDamagedError(

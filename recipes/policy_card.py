@@ -56,6 +56,7 @@ from typing import Any
 
 from tensordict.utils import unravel_key
 
+import aslip.programs  # noqa: F401  for our own benchmarks
 from aslip.base.archive import as_json
 from aslip.base.provenance import provenance
 from aslip.base.tables import markdown
@@ -232,7 +233,7 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
         _section(config, "Velocity tracking", "paper.velocity_tracking"),
         _section(config, "Ground contact, impacts and power", "robustness.walking_quality"),
         f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
-        (config.out / config.name / "pushes.md").read_text().strip(),
+        (config.out / config.name / "pushes.md").read_text(encoding="utf-8").strip(),
     ]
 
 
@@ -249,13 +250,13 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
         "Foot placement": "foot_placement",
         "Ground contact, impacts and power": "walking_quality",
     }
-    numbers = json.loads((folder / "pushes.json").read_text())
+    numbers = json.loads((folder / "pushes.json").read_text(encoding="utf-8"))
     return [
         _section(config, "Targets", "scorecard.direction_targets"),
         "This command also made the tables below.",
         *(_table_section(title, folder / f"{name}.md") for title, name in titles.items()),
         f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
-        (folder / "pushes.md").read_text().strip(),
+        (folder / "pushes.md").read_text(encoding="utf-8").strip(),
     ]
 
 
@@ -311,14 +312,14 @@ def training_conditions(about: dict[str, Any]) -> str:
 
 def _section(config: Config, title: str, benchmark: str) -> str:
     """Section with a benchmark's table and its command."""
-    command = f"`python -m benchmarks.{benchmark} --policy {config.name}`"
+    command = f"`aslip measure {benchmark} --policy {config.name}`"
     table = config.out / config.name / f"{benchmark.split('.')[-1]}.md"
     return _table_section(title, table, f"{command}\n\n")
 
 
 def _table_section(title: str, table: Path, before: str = "") -> str:
     """Section with a table."""
-    return f"## {title}\n\n{before}{table.read_text().strip()}"
+    return f"## {title}\n\n{before}{table.read_text(encoding='utf-8').strip()}"
 
 
 def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:

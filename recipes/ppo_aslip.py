@@ -6,6 +6,7 @@
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
     python recipes/ppo_aslip.py gpu              # 4096 robots on a GPU
     python recipes/ppo_aslip.py --num-collectors 8                     # robots in Ray actors
+    python recipes/ppo_aslip.py --logger wandb                         # or tensorboard, mlflow
 
 The recipe has all parts of Green et al. 2021: environment, policy, PPO, evaluation. To swap a part,
 call `main` with a function that makes the new one:
@@ -55,6 +56,7 @@ from aslip.policy import (
     update_normalizers,
 )
 from aslip.robot import CASSIE
+from aslip.show.film import film_evaluation
 from aslip.show.plots import learning_curve, save_figure
 from aslip.sim.warp import check_device
 from aslip.training.collectors import LocalCollector
@@ -96,7 +98,8 @@ def main(
         make_collector: makes the collector from the arguments of `LocalCollector`, which is the
             default; with `config.num_collectors`, it is `RayCollectors`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
-        logger: TorchRL logger, in addition to CSV and TensorBoard.
+        logger: TorchRL logger of the rows instead of the one named in `config`, in addition to CSV
+            and TensorBoard.
         resume_hint: command that resumes the training, for messages.
     """
     torch.manual_seed(config.seed)
@@ -104,43 +107,52 @@ def main(
     make_train_env = make_train_env or partial(make_training_env, make_env)
     if config.physics_timestep != CASSIE.physics_timestep:
         make_train_env = partial(make_train_env, timestep=config.physics_timestep)
-    make_robots = make_train_env
-    if config.backend == "warp":
-        check_device(config.device)
-        make_robots = partial(make_train_env, backend="warp", device=config.device)
     env, speeds = make_evaluation_env(make_env, config.seed)
     run = TrainingRun(
-        config.out, config, resume=config.resume, resume_hint=resume_hint, logger=logger,
-        transforms=describe_environments(env, make_train_env),
+        config.out, config, resume=config.resume, resume_hint=resume_hint,
+        logger=logger or config.logger, transforms=describe_environments(env, make_train_env),
     )  # fmt: skip
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
-    make_collector = make_collector or collector_class(config, critic.in_keys)
-    collector = make_collector(
-        make_robots, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
+    collector = (make_collector or collector_class(config, critic.in_keys))(
+        on_device(config, make_train_env), actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
         device=config.device,
     )  # fmt: skip
     parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "collector": collector}
+    interface = {"network": make_actor, **policy_interface(env)}
+    write_policy = partial(save_run_policy, config, run, actor, shape, interface)
 
     results: list[WalkResult] = []
-    with training_loop(run, parts, config) as training:
+    with training_loop(run, parts, config, write_policy) as training:
         if normalizer.count == 0:  # the first batch only initialises the normaliser
             update_normalizers([actor, critic], next(training))
         for data in training:
             advantage(data)
-            losses = update(data, loss, optimizer, config)
+            losses = update(data, loss, optimizer, config) | annealed(config, training.step)
             update_normalizers([actor, critic], data)
             training.count(data)
             anneal(config, training.step, actor, optimizer)
-            results = evaluate_all(config, actor, env, speeds) if training.evaluates else []
-            training.log(data, losses, evaluation_means(results))
-    shape = replace(shape, std=config.std_after(training.step))
-    made_by = run.about(training.progress)
-    save_policy(run.policy_file, actor, shape, made_by, network=make_actor, **policy_interface(env))
+            with training.log(data, {**losses, **evaluation_means([])}) as row:
+                results = evaluate_all(config, actor, env, speeds) if training.evaluates else []
+                row.update(evaluation_means(results))
+            training.film(partial(film_evaluation, on_cpu(actor), env, speeds))
+    write_policy({"actor": actor.state_dict()}, training.progress.state())
     results = results or evaluate_all(config, actor, env, speeds)
     save_results(config, run, training.progress, results)
     env.close()
     return results
+
+
+def on_device(config: Config, make_train_env: MakeEnv) -> MakeEnv:
+    """Function that makes the training's robots on the device of the settings.
+
+    Raises:
+        ConfigurationError: there is no such device.
+    """
+    if config.backend == "batch":
+        return make_train_env
+    check_device(config.device)
+    return partial(make_train_env, backend=config.backend, device=config.device)
 
 
 def make_networks(
@@ -193,7 +205,7 @@ def make_ppo(
 def update(
     data: TensorDict, loss: ClipPPOLoss, optimizer: torch.optim.Optimizer, config: Config
 ) -> dict[str, float]:
-    """Train for some epochs on a batch (num_envs, T), and return mean losses.
+    """Train for some epochs on a batch (num_envs, T), and return mean losses and its numbers.
 
     Minibatches consist of single policy steps, or of whole rows if the actor is recurrent.
 
@@ -222,16 +234,33 @@ def update(
     means = torch.stack(reports).mean(0)
     if not all(torch.isfinite(means.get(key)) for key in ("loss_objective", "loss_critic")):
         raise FloatingPointError("the PPO loss is not finite; lower --learning-rate")
-    return {key: float(means.get(key)) for key in ("loss_critic", "kl_approx", "clip_fraction")}
+    names = ("loss_critic", "kl_approx", "clip_fraction")
+    return {key: float(means.get(key)) for key in names} | batch_numbers(data)
+
+
+def batch_numbers(data: TensorDict) -> dict[str, float]:
+    """Entropy [nat], a mean over the batch's actions, and variance that the critic explains."""
+    target = data["value_target"]
+    rest = (target - data["state_value"]).var() / target.var()
+    return {
+        "entropy": -float(data["action_log_prob"].mean()),
+        "explained_variance": 1 - float(rest),
+    }
+
+
+def annealed(config: Config, step: int) -> dict[str, float]:
+    """Learning rate and standard deviation of the policy after a number of policy steps."""
+    return {"learning_rate": config.learning_rate_after(step), "std": config.std_after(step)}
 
 
 def anneal(
     config: Config, step: int, actor: ProbabilisticActor, optimizer: torch.optim.Optimizer
 ) -> None:
     """Set learning rate and standard deviation of the policy after a number of policy steps."""
-    set_std(actor, config.std_after(step))
+    values = annealed(config, step)
+    set_std(actor, values["std"])
     for group in optimizer.param_groups:
-        group["lr"] = config.learning_rate_after(step)
+        group["lr"] = values["learning_rate"]
 
 
 def evaluate_all(
@@ -242,8 +271,28 @@ def evaluate_all(
 ) -> list[WalkResult]:
     """Walk at all commands, with the same noise in every evaluation."""
     env.set_seed(config.seed)
-    policy = actor if config.device == "cpu" else copy.deepcopy(actor).cpu()
-    return evaluate(policy, env, speeds, config.eval_steps)
+    return evaluate(on_cpu(actor), env, speeds, config.eval_steps)
+
+
+def on_cpu(actor: ProbabilisticActor) -> ProbabilisticActor:
+    """Actor on the CPU, a copy if it is elsewhere."""
+    return actor if next(actor.parameters()).is_cpu else copy.deepcopy(actor).cpu()
+
+
+def save_run_policy(
+    config: Config,
+    run: TrainingRun,
+    actor: ProbabilisticActor,
+    shape: PolicyShape,
+    interface: Mapping[str, Any],
+    states: Mapping[str, Any],
+    progress: Mapping[str, Any],
+) -> None:
+    """Write the policy of a state of the training, which may be an earlier one than the actor's."""
+    saved = copy.deepcopy(actor)
+    saved.load_state_dict(states["actor"])
+    shape = replace(shape, std=config.std_after(progress["step"]))
+    save_policy(run.policy_file, saved, shape, run.about(progress), **interface)
 
 
 def save_results(

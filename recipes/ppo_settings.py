@@ -20,11 +20,13 @@ from aslip.base.command_line import preset_command_line, program, usage_error
 from aslip.base.imports import extras
 from aslip.errors import AslipError, ConfigurationError
 from aslip.training.settings import (
+    LoggerName,
     check_positive,
     check_range,
     check_shares,
     check_types,
     read_settings,
+    say_loading,
 )
 
 with extras():
@@ -114,6 +116,9 @@ class Config(UserPaths):
     """Policy steps of an evaluation's walks."""
     checkpoint_minutes: float = 3.0
     """Minutes between checkpoints; 0 for one after every update."""
+    logger: LoggerName = "none"
+    """Logger that gets settings, numbers and films of evaluations, besides CSV and TensorBoard,
+    which have the numbers only."""
 
     def __post_init__(self) -> None:
         """Check types and ranges.
@@ -206,12 +211,15 @@ def training_settings(
     """
     config = preset_command_line(presets, DESCRIPTIONS, arguments)
     if not config.resume:
+        say_loading(config.out)
         return config
     try:
         kept = run_settings(config.out, presets[config.preset])
     except AslipError as error:
         usage_error(str(error))
-    return preset_command_line({**presets, config.preset: kept}, DESCRIPTIONS, arguments)
+    config = preset_command_line({**presets, config.preset: kept}, DESCRIPTIONS, arguments)
+    say_loading(config.out)
+    return config
 
 
 def run_settings(folder: Path, preset: AnyConfig) -> AnyConfig:

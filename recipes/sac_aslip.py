@@ -1,6 +1,7 @@
 """Train with soft actor-critic (Haarnoja et al. 2018), an off-policy algorithm.
 
     python recipes/sac_aslip.py                      # runs/sac_aslip/
+    python recipes/sac_aslip.py --logger wandb       # or tensorboard, mlflow
 
 With seed 0, the mean episode length grew from 25 policy steps after 1,024 to 97 after 25,600 and
 209 after 60,032, and the mean reward from 0.59 to 0.85 a policy step, in 15 minutes beside other
@@ -12,12 +13,13 @@ Gaussian policy. The replay buffer stores only the entries that the loss reads, 
 `aslip.load_policy("runs/sac_aslip", sac_aslip.make_actor)`.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from aslip.base.assets import UserPaths
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.settings import LoggerName, say_loading
 
 
 @dataclass(frozen=True)
@@ -36,23 +38,25 @@ class Config(UserPaths):
     """Policy steps of a batch, over all robots."""
     updates: int = 16
     """Gradient steps after each batch, of 512 transitions each."""
+    logger: LoggerName = "none"
+    """Logger that gets settings and numbers, besides CSV and TensorBoard."""
 
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = command_line(Config)
+    say_loading(CONFIG.out)
 
-from collections import deque
+from contextlib import closing
 from functools import partial
 
 import torch
 from tensordict import TensorDict
 from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictSequential
 from torch import nn
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.data import LazyTensorStorage, ReplayBuffer, TensorSpec
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
-from tqdm import tqdm
 
 import aslip
 from aslip.base.decorators import on_cpu_in_single
@@ -65,13 +69,16 @@ from aslip.policy import (
     save_policy,
 )
 from aslip.training.collectors import LocalCollector
-from aslip.training.progress import ProgressLog
+from aslip.training.progress import Progress, ProgressLog
 from aslip.transforms import ActionDelta
 
 _LIMIT = 0.4  # largest action [rad]
 _CELLS = 256
+_ACTOR_RATE = 3e-4  # learning rate of the actor
+_POLICY_INTERVAL = 2000  # policy steps between files of the policy
 _MLP = {"depth": 2, "num_cells": _CELLS, "activation_class": nn.ReLU}
 _AFTER = ("observation", "reward", "done", "terminated")
+COUNTED = ["step_count", "episode_reward", "reward_terms"]  # entries that the progress reads
 STORED = ["observation", "action", *(("next", name) for name in _AFTER)]
 
 
@@ -119,44 +126,81 @@ def main(config: Config) -> None:
     interface, spec = policy_interface(env), env.action_spec_unbatched
     size = env.observation_spec["observation"].shape[-1]
     shape, normalizer = PolicyShape(size, spec.shape[-1], 2 * (_CELLS,)), RunningNormalizer(size)
-    actor, critic = make_actor(normalizer, shape), make_critic(normalizer, shape)
-    loss = SACLoss(actor, critic, action_spec=spec, alpha_init=0.01, target_entropy=-15.0)
-    loss.make_value_estimator(gamma=0.95)
-    target = SoftUpdate(loss, tau=0.02)
-    slow, fast = (
-        [p for name, p in loss.named_parameters() if name.startswith("actor") is is_actor]
-        for is_actor in (True, False)
-    )
-    groups = [{"params": slow, "lr": 3e-4}, {"params": fast, "lr": 1e-3}]
-    optimizer = torch.optim.Adam(groups, fused=True)
+    actor = make_actor(normalizer, shape)
+    loss = make_loss(actor, make_critic(normalizer, shape), spec)
+    target, optimizer = SoftUpdate(loss, tau=0.02), make_optimizer(loss)
     buffer = ReplayBuffer(storage=LazyTensorStorage(2 * config.total_steps), batch_size=512)
     collector = LocalCollector(
-        partial(aslip.make_env, replace=bounded, keep=["observation", "step_count"]), actor,
+        partial(aslip.make_env, replace=bounded, keep=["observation", *COUNTED]), actor,
         num_envs=config.num_envs, samples=config.samples, seed=config.seed,
     )  # fmt: skip
-    log, lengths = ProgressLog(config.out), deque(maxlen=256)
-    with tqdm(total=config.total_steps, unit="step") as bar, collector:
-        for data in collector:
+    progress = Progress(config.total_steps, config.samples)
+    log = ProgressLog(config.out, config.logger)
+    log.open(asdict(config))
+    with closing(log), progress, collector:
+        for data in progress.watch(collector):
             seen = data.reshape(-1).select(*STORED)
             for transitions in (seen, mirrored(seen)):
                 normalizer.update(transitions["observation"])
                 buffer.extend(transitions)
-            for _ in range(config.updates):
-                losses = loss(buffer.sample())
-                optimizer.zero_grad()
-                (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
-                optimizer.step()
-                target.step()
-            lengths.extend(data["next", "step_count"][data["next", "done"]].tolist())
-            length, reward = sum(lengths) / max(1, len(lengths)), data["next", "reward"].mean()
-            bar.update(data.numel())
-            bar.set_postfix(row := {"reward": float(reward), "episode_length": length})
-            log.write(bar.n, row)
-            if bar.n >= config.total_steps:
+            losses = update(buffer, loss, optimizer, target, config.updates)
+            progress.add(data)
+            log.write(progress.step, progress.row(data, numbers(data, losses)))
+            if progress.step % _POLICY_INTERVAL < config.samples or progress.finished:
+                about = {"seed": config.seed, "steps": progress.step}
+                file = config.out / "policy.zip"
+                save_policy(file, actor, shape, about, network=make_actor, **interface)
+            if progress.finished:
                 break
-    log.close()
-    file, about = config.out / "policy.zip", {"seed": config.seed}
-    save_policy(file, actor, shape, about, network=make_actor, **interface)
+
+
+def make_loss(actor: ProbabilisticActor, critic: TensorDictSequential, spec: TensorSpec) -> SACLoss:
+    """Loss of actor and critic, for actions within the spec."""
+    loss = SACLoss(actor, critic, action_spec=spec, alpha_init=0.01, target_entropy=-15.0)
+    loss.make_value_estimator(gamma=0.95)
+    return loss
+
+
+def make_optimizer(loss: SACLoss) -> torch.optim.Optimizer:
+    """Adam with a lower learning rate for the actor."""
+    slow, fast = (
+        [p for name, p in loss.named_parameters() if name.startswith("actor") is is_actor]
+        for is_actor in (True, False)
+    )
+    groups = [{"params": slow, "lr": _ACTOR_RATE}, {"params": fast, "lr": 1e-3}]
+    return torch.optim.Adam(groups, fused=True)
+
+
+def update(
+    buffer: ReplayBuffer,
+    loss: SACLoss,
+    optimizer: torch.optim.Optimizer,
+    target: SoftUpdate,
+    count: int,
+) -> TensorDict:
+    """Take some gradient steps, and return the losses of the last one."""
+    losses = TensorDict()
+    for _ in range(count):
+        losses = loss(buffer.sample())
+        optimizer.zero_grad()
+        (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
+        optimizer.step()
+        target.step()
+    return losses.detach()
+
+
+def numbers(data: TensorDict, losses: TensorDict) -> dict[str, float]:
+    """Numbers of a batch and its last gradient step to log; SAC has no KL divergence.
+
+    Standard deviation of actions [rad] and their entropy [nat], which SAC keeps above a bound.
+    """
+    names = ("entropy", "alpha", "loss_qvalue")
+    return {
+        "reward": float(data["next", "reward"].mean()),
+        **{name: float(losses[name]) for name in names},
+        "learning_rate": _ACTOR_RATE,
+        "std": _LIMIT * float(data["scale"].mean()),  # before the squashing
+    }
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.base.assets import UserPaths
+from aslip.base.assets import UserPaths, asset_path
 from aslip.base.command_line import command_line
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
@@ -118,7 +118,7 @@ from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
-from aslip.policy import policy_stack
+from aslip.policy import policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
@@ -137,6 +137,8 @@ def main(config: Config) -> None:
     if config.video is not None:
         check_look(look)
     walker = make_walker(config, schedule)
+    for policy in dict.fromkeys([config.policy, *config.policies]):
+        print(f"policy {policy}: {training_length(policy)}")
     schedule = schedule.of_size(walker.library.command_size)
     try:
         with signals_exit(), contextlib.closing(walker.env):
@@ -147,7 +149,7 @@ def main(config: Config) -> None:
     finally:
         print(f"the robot {'fell after' if walker.fallen else 'walked for'} {walker.time:.2f} s")
         if config.log is not None and config.log.exists():
-            print(LOG_COMMANDS.format(config.log))
+            print(LOG_COMMANDS.format(config.log, asset_path("viewers/foxglove.json")))
     print(table(schedule, rows))
     if config.video is not None:
         make_film(config.video, frames, 1 / (config.steps_per_frame * CASSIE.policy_period), look)
@@ -157,7 +159,7 @@ def main(config: Config) -> None:
 LOG_COMMANDS = """wrote {0}
   python -m aslip.log info {0}             # list its topics
   python -m aslip.log replay --verify {0}  # simulate it again
-  open it in Foxglove with the layout assets/viewers/foxglove.json"""
+  open it in Foxglove with the layout {1}"""
 
 
 def serve(config: Config, walker: Walker) -> None:
@@ -203,6 +205,16 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     )
     first = schedule.at(0.0), schedule.stand_at(0.0)
     return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
+
+
+def training_length(policy: str) -> str:
+    """Policy steps for which a policy, maybe of a running training, was trained, in words."""
+    made_by = read_card(policy)["made_by"]
+    steps, settings = made_by.get("steps"), made_by.get("settings")
+    total = settings.get("total_steps") if isinstance(settings, dict) else None
+    if not isinstance(steps, int) or not isinstance(total, int):
+        return "its file does not say how long it was trained"
+    return f"trained for {steps} policy steps" + (f" of {total}" if steps < total else "")
 
 
 def duration(config: Config, schedule: Schedule) -> float:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from aslip.__main__ import COMMANDS
 from aslip.base.command_line import Reports, command_line, prepare_program, program, say
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.policy import read_card
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE
 from recipes.ppo_settings import (
@@ -163,7 +165,8 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     assert f"to continue: {resume_hint}" in output
     assert f"to continue: {resume_hint}" in errors
     assert "saved: " in errors
-    assert not (out / "policy.zip").exists()
+    assert output.startswith(f"{out}: loading ")
+    assert f"-{read_card(out)['made_by']['steps']:012d}.zip" in errors
     assert max(out.glob("checkpoints/*.zip")).name in errors
 
 
@@ -174,9 +177,10 @@ _HEAVY = ("torch", "torchrl", "tensordict", "dm_control", "pinocchio", "casadi",
 _LOADED = """
 import contextlib, io, os, runpy, sys
 with contextlib.redirect_stderr(io.StringIO()):
-    for name in sys.argv[1:]:
+    for call in sys.argv[1:]:
+        name, *words = call.split()
         for word in ("--help", "--no-such-option"):
-            sys.argv = [name, word]
+            sys.argv = [name, *words, word]
             reader, writer = os.pipe()
             os.close(reader)
             os.dup2(writer, 1)
@@ -188,12 +192,12 @@ with contextlib.redirect_stderr(io.StringIO()):
                 else:
                     runpy.run_module(name, run_name="__main__", alter_sys=True)
             except SystemExit as stop:
-                assert stop.code == (2 if word != "--help" else 0), (name, word, stop.code)
+                assert stop.code == (2 if word != "--help" else 0), (call, word, stop.code)
                 sys.stdout.flush()
             else:
-                raise AssertionError(f"{name} {word} did not exit")
+                raise AssertionError(f"{call} {word} did not exit")
             found = sorted({module.split(".")[0] for module in sys.modules} & HEAVY)
-            assert not found, (name, word, found)
+            assert not found, (call, word, found)
 """.replace("HEAVY", repr(set(_HEAVY)))
 
 
@@ -204,7 +208,8 @@ def _programs() -> list[str]:
     names = [str(path.relative_to(ROOT)) for path in scripts if _runs(path)]
     for path in filter(_runs, modules):
         names.append(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    return sorted([*names, "aslip.log"])
+    calls = [f"aslip {command}" for command in COMMANDS if command != "measure"]
+    return [*sorted(names), "aslip.log", *calls, "aslip measure paper.step_frequency"]
 
 
 def _runs(path: Path) -> bool:

@@ -23,6 +23,8 @@ _BELOW_ALL = {"errors", "base"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "base": set(),
+    "programs": set(),
+    "__main__": {"programs"},
     "robot": set(),
     "rom": set(),
     "ik": {"robot"},
@@ -58,6 +60,8 @@ _ON_DEVICE, _OF_DEVICES = PACKAGE / "sim" / "warp", {"torch", "warp", "mujoco_wa
 # room -> libraries that it must not import
 _FOREIGN = {
     "errors": _HEAVY,
+    "programs": _HEAVY,
+    "__main__": _HEAVY,
     "base": _HEAVY - {"torch", "tensordict"},
     "robot": _HEAVY - {"mujoco"},
     "rom": _HEAVY - {"casadi"},

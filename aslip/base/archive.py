@@ -52,6 +52,8 @@ class ArchiveFormat:
     """Advice at the end of error messages."""
     compressed: bool = False
     """Compress the entries."""
+    instead: str = ""
+    """Advice for those who give a file of another kind."""
 
     def write(self, path: Path, entries: Mapping[str, bytes]) -> None:
         """Write an archive atomically; equal entries make equal files.
@@ -85,6 +87,10 @@ class ArchiveFormat:
         except Exception as error:  # zipfile has many exceptions for a bad file
             raise self.damaged(path, error) from error
         name = entries.pop(_FORMAT, b"").decode(errors="replace")
+        kind = name.removeprefix("aslip ").rpartition(" ")[0]
+        if name.startswith("aslip ") and kind != self.kind:
+            hint = f"; {self.instead}" if self.instead else ""
+            raise FileDamagedError(f"{str(path)!r} is a {kind}, not a {self.kind}{hint}")
         if name != self._name:
             raise self.damaged(path, f"its format is {name!r}, not {self._name!r}")
         return entries

@@ -143,8 +143,19 @@ def usage_error(message: str) -> NoReturn:
     raise SystemExit(2)
 
 
+_program = ""
+
+
+def set_program(command: str) -> None:
+    """Name the command that started this program, where Python does not know it."""
+    global _program
+    _program = command
+
+
 def program() -> str:
     """Command that started this program, without its arguments."""
+    if _program:
+        return _program
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     if spec is not None:
         return f"python -m {spec.name.removesuffix('.__main__')}"

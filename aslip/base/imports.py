@@ -1,4 +1,4 @@
-"""Imports on first use, of libraries that not everybody installs, and of MuJoCo."""
+"""Imports on first use, of libraries that not everybody has, and of MuJoCo."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ import lazy_loader
 
 from aslip.errors import MissingExtraError
 
+# library -> extra that installs it, or why the package is installed without it
 _EXTRAS = {
+    "dm_control": "its labmaze has wheels for Python 3.11 and 3.12 only",
     "gymnasium": "gym",
     "imageio_ffmpeg": "train",
     "matplotlib": "train",
+    "mlflow": "mlflow",
+    "omegaconf": "mlflow",
     "onnx": "control",
     "onnxruntime": "control",
     "onnxscript": "export",
+    "pinocchio": "pip install 'pin>=4.1,<5'; on Windows, conda install -c conda-forge pinocchio",
     "pydrake": "drake",
     "ray": "ray",
     "mujoco_warp": "gpu",
@@ -28,16 +33,17 @@ _EXTRAS = {
     "tqdm": "train",
     "tyro": "train",
     "viser": "live",
+    "wandb": "wandb",
     "warp": "gpu",
 }
 
 
 @contextmanager
 def extras() -> Iterator[None]:
-    """Let the import of a missing library name the extra that installs it.
+    """Let the import of a missing library name the extra that installs it, or why it is missing.
 
     Raises:
-        MissingExtraError: a library of an extra is not installed.
+        MissingExtraError: a library of an extra, or one that lacks wheels here, is not installed.
     """
     try:
         yield
@@ -45,9 +51,9 @@ def extras() -> Iterator[None]:
         name = (error.name or "").partition(".")[0]
         if name not in _EXTRAS:
             raise
-        raise MissingExtraError(
-            f"{name} is not installed: pip install 'aslip[{_EXTRAS[name]}]'"
-        ) from error
+        known = _EXTRAS[name]
+        advice = known if " " in known else f"pip install 'aslip[{known}]'"
+        raise MissingExtraError(f"{name} is not installed: {advice}") from error
 
 
 def attach(

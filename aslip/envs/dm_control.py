@@ -15,7 +15,6 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from dm_env import specs
 
 with warnings.catch_warnings():
     # dm_control looks for a display on import; its absence matters only to those who render
@@ -24,6 +23,7 @@ with warnings.catch_warnings():
     from dm_control.rl import control
     from dm_control.suite import base
     from dm_control.utils import rewards
+    from dm_env import specs
 
 from aslip.base.checks import check_count, check_number, check_states
 from aslip.envs.physics import BipedPhysics

@@ -17,9 +17,7 @@ from aslip.robot import CASSIE, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import Motion, SampledMotion
 
-FORMAT = ArchiveFormat(
-    "gait library", 6, advice="rebuild it with recipes/gait_library.py", compressed=True
-)
+FORMAT = ArchiveFormat("gait library", 6, advice="rebuild it with: aslip gaits", compressed=True)
 """Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `transitions/FIELD.npy`, `made_by.json`.
 
 Headings that are 0 everywhere and the mask of a full grid are left out, and so are transitions that
@@ -81,9 +79,7 @@ def read_library(
         FileDamagedError: the file is truncated, altered, or no gait library.
     """
     if not path.is_file():
-        raise AssetError(
-            f"there is no gait library {str(path)!r}; create it with recipes/gait_library.py"
-        )
+        raise AssetError(f"there is no gait library {str(path)!r}; create it with: aslip gaits")
     entries = FORMAT.read(path)
     try:
         arrays = _arrays(entries)

@@ -288,7 +288,7 @@ class GaitLibrary(nn.Module):
         if self._transitions is None:
             raise ConfigurationError(
                 "this library has no stop and start; build one with transitions, as"
-                " recipes/direction_library.py does"
+                " `aslip gaits directions` does"
             )
         return self._transitions
 

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from aslip import log
 from aslip.base.assets import user_path
-from aslip.base.command_line import prepare_program, usage_error
+from aslip.base.command_line import prepare_program, program, usage_error
 from aslip.errors import AslipError
 
 
@@ -34,7 +34,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="python -m aslip.log", description=__doc__)
+    parser = _Parser(prog=program(), description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:

@@ -35,7 +35,9 @@ MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], Prob
 POLICY_FILE = "policy.zip"
 """Name of the policy in the folder of a training run."""
 
-POLICY_FORMAT = ArchiveFormat("policy", 2)
+POLICY_FORMAT = ArchiveFormat(
+    "policy", 2, instead=f"the policy of a run is the file {POLICY_FILE} in its folder"
+)
 """Entries: `card.json`, and `weights/NAME.npy` for each parameter and buffer."""
 
 CARD = "card.json"

@@ -7,26 +7,34 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
 from aslip.base.assets import user_path
 from aslip.base.imports import extras
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError
+from aslip.policy import add_memory
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.model_place import RomPlace
+from aslip.walking import reset_walks, walk
+from aslip.walking.record import commands_kept
 
 with extras():
     from tqdm import tqdm
 
+# policy steps of a film of an evaluation, and between its frames
+_FILM_STEPS, _FILM_EVERY = 100, 3
 # distance of the model from the robot in the picture [m], and factor of the camera's distance
 _BESIDE, _FARTHER = 1.05, 1.15
 
@@ -41,10 +49,10 @@ class Frame:
     """Reduced-order model."""
 
     @classmethod
-    def of(cls, td: TensorDictBase) -> Frame:
-        """Frame of a tensordict of one robot."""
+    def of(cls, td: TensorDictBase, robot: int = 0) -> Frame:
+        """Frame of one of the robots of a tensordict."""
         qpos = cast("torch.Tensor", td["truth", "qpos"])
-        return cls(qpos[0].numpy().copy(), Ghost.of(td))
+        return cls(qpos[robot].numpy().copy(), Ghost.of(td, robot))
 
 
 @dataclass(frozen=True)
@@ -91,10 +99,20 @@ def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> N
         ConfigurationError: the path does not end in .mp4, or the size is odd.
         RenderingError: OpenGL does not work.
     """
+    shown = tqdm(draw(frames, look), total=len(frames), unit="frame")
+    write_video(path, shown, rate, (look.width, look.height))
+
+
+def draw(frames: Sequence[Frame], look: Look) -> Iterator[np.ndarray]:
+    """Pictures (height, width, 3) uint8 of frames, each drawn when it is taken.
+
+    Raises:
+        RenderingError: OpenGL does not work.
+    """
     from aslip.show.render import render_frames
 
     model, offset = camera_beside(look.camera) if look.rom == "beside" else (None, np.zeros(3))
-    pictures = render_frames(
+    return render_frames(
         np.stack([frame.qpos for frame in frames]),
         camera=look.camera,
         width=look.width,
@@ -102,8 +120,39 @@ def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> N
         model=model,
         ghosts=None if look.rom == "hidden" else [f.ghost.moved(offset) for f in frames],
     )
-    shown = tqdm(pictures, total=len(frames), unit="frame")
-    write_video(path, shown, rate, (look.width, look.height))
+
+
+def film_evaluation(
+    policy: TensorDictModuleBase, env: StackEnv, commands: Sequence[Any], path: Path
+) -> tuple[np.ndarray, float]:
+    """Film three seconds at the middle one of an evaluation's commands, until a fall.
+
+    It is small and has every third policy step, because software takes 0.2 to 0.4 s to draw one.
+
+    Args:
+        policy: the policy.
+        env: environment with one robot for each command; it is reset.
+        commands: the commands, see `aslip.walking.evaluate`.
+        path: film to write, ending in .mp4.
+
+    Returns:
+        The pictures (n, height, width, 3) uint8, and their number per second.
+
+    Raises:
+        RenderingError: OpenGL does not work.
+    """
+    robot, frames = len(commands) // 2, []
+    with commands_kept(env):
+        start = reset_walks(add_memory(env, policy), np.asarray(commands, dtype=np.float32))
+        for i, td in enumerate(walk(policy, env, start, _FILM_STEPS)):
+            if i % _FILM_EVERY == 0:
+                frames.append(Frame.of(td["next"], robot))
+            if td["next", "terminated"][robot]:
+                break
+    look, rate = Look("follow", 320, 240), 1 / (_FILM_EVERY * CASSIE.policy_period)
+    pictures = np.stack([*draw(frames, look)])
+    write_video(path, pictures, rate, (look.width, look.height))
+    return pictures, rate
 
 
 def camera_beside(camera: str) -> tuple[mujoco.MjModel, np.ndarray]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 
 from aslip.base.processes import processors
 from aslip.training.progress import Progress, check_rewards
-from aslip.training.run import TrainingRun
+from aslip.training.run import TrainingRun, WritePolicy
 
 
 @dataclass
@@ -26,7 +28,7 @@ class TrainingLoop:
     """State of the training."""
     batches: Iterator[TensorDict]
     """Batches of the collector."""
-    checkpoint: Callable[[int, Mapping[str, Any]], None]
+    checkpoint: Callable[..., None]
     """Function of `TrainingRun.checkpointing`."""
     eval_interval: int
     """Policy steps between evaluations."""
@@ -55,23 +57,36 @@ class TrainingLoop:
         """True if an evaluation is due: after each `eval_interval`, and after the last update."""
         return self.step % self.eval_interval < self.progress.samples or self.progress.finished
 
-    def log(
-        self, data: TensorDict, losses: Mapping[str, float], means: Mapping[str, float]
-    ) -> None:
-        """Log an update, and copy the state of the training for the next checkpoint.
+    def film(self, draw: Callable[[Path], tuple[np.ndarray, float]]) -> None:
+        """Give a film to the logger if an evaluation is due; see `ProgressLog.film`."""
+        if self.evaluates:
+            self.run.film(self.step, draw)
+
+    @contextmanager
+    def log(self, data: TensorDict, losses: Mapping[str, float]) -> Iterator[dict[str, float]]:
+        """Context that logs an update, and copies the state of the training for a checkpoint.
+
+        It yields the row, to which an evaluation may add its means. An interrupted evaluation does
+        not lose the update.
 
         Args:
             data: the batch.
-            losses: means of the update.
-            means: means of an evaluation.
+            losses: further numbers of the row.
         """
-        self.run.log(self.step, {**self.progress.row(data, losses), **means})
-        self.checkpoint(self.step, self.progress.state())
+        row = self.progress.row(data, losses)
+        try:
+            yield row
+        finally:
+            self.run.log(self.step, row)
+            self.checkpoint(self.step, self.progress.state(), due=self.evaluates)
 
 
 @contextmanager
 def training_loop(
-    run: TrainingRun, components: Mapping[str, Any], settings: Any
+    run: TrainingRun,
+    components: Mapping[str, Any],
+    settings: Any,
+    write_policy: WritePolicy | None = None,
 ) -> Iterator[TrainingLoop]:
     """Context that resumes, announces and saves a training, with a progress bar.
 
@@ -81,6 +96,7 @@ def training_loop(
             `collector`, which is shut down at the end.
         settings: settings of the recipe: `preset`, `seed`, `resume`, `total_steps`, `samples`,
             `num_envs`, `eval_interval` and `checkpoint_minutes`.
+        write_policy: function that writes the policy, at each evaluation and checkpoint.
 
     Raises:
         TrainingStoppedError: as in `TrainingRun.checkpointing`.
@@ -96,5 +112,5 @@ def training_loop(
     print(run.announcement(title, progress), flush=True)
     batches = progress.watch(collector)
     minutes = settings.checkpoint_minutes
-    with progress, collector, run.checkpointing(components, minutes) as checkpoint:
+    with collector, run.checkpointing(components, minutes, write_policy) as checkpoint, progress:
         yield TrainingLoop(run, progress, batches, checkpoint, settings.eval_interval)

@@ -7,11 +7,13 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torchrl import torchrl_logger
@@ -21,14 +23,18 @@ from aslip.base.assets import user_path
 from aslip.base.imports import extras
 from aslip.base.writing import replacing
 from aslip.errors import FileDamagedError
+from aslip.training.loggers import RunTensorboard, log_film, open_logger
+from aslip.training.settings import LoggerName
 
 with extras():
-    from torch.utils.tensorboard import SummaryWriter
     from tqdm import tqdm
 
 _PROGRESS_FILE = "progress.csv"
 
 _EPISODES = 256  # number of last episodes in the means
+_PACE_SECONDS = 60.0  # time over which the pace is measured
+# without the time of tqdm, whose pace is a mean over displays; at most 80 columns
+_BAR = "{percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt}{postfix}"
 
 
 class Progress(AbstractContextManager[Any]):
@@ -51,6 +57,8 @@ class Progress(AbstractContextManager[Any]):
         # length and return
         self._episodes = deque(map(tuple, kept["episodes"]), maxlen=_EPISODES)
         self._start = time.perf_counter() - kept["elapsed_s"]
+        # elapsed time and policy steps at the ends of the last updates
+        self._marks = deque([(self.elapsed, self.step)])
         self._bar: tqdm | None = None
 
     @property
@@ -63,6 +71,12 @@ class Progress(AbstractContextManager[Any]):
         """Duration of the training without interruptions [s]."""
         return time.perf_counter() - self._start
 
+    @property
+    def pace(self) -> float:
+        """Policy steps a second over the last minute, or over the last update if it took longer."""
+        (before, first), (now, last) = self._marks[0], self._marks[-1]
+        return (last - first) / (now - before) if now > before else math.nan
+
     def state(self) -> dict[str, Any]:
         """State to resume from, of JSON types."""
         return {
@@ -74,21 +88,16 @@ class Progress(AbstractContextManager[Any]):
 
     def watch(self, batches: Iterable[TensorDict]) -> Iterator[TensorDict]:
         """Yield batches, and show the progress of their updates."""
-        bar = tqdm(total=self.total, initial=self.step, unit="step", dynamic_ncols=True)
-        self._bar = bar
-        iterator = iter(batches)
-        while True:
-            bar.set_description("collecting", refresh=False)
-            data = next(iterator, None)
-            if data is None:
-                return
+        self._bar = tqdm(
+            total=self.total, initial=self.step, bar_format=_BAR, unit_scale=True,
+            dynamic_ncols=True,
+        )  # fmt: skip
+        self._marks = deque([(self.elapsed, self.step)])
+        for data in batches:
             # only simulated robots can diverge
             diverged = data.get(("next", "truth", "diverged"), None)
             self._divergences += 0 if diverged is None else int(diverged.sum())
-            bar.set_description("learning")
             yield data
-            # a batch counts only after its update
-            bar.update(self.step - bar.n)
 
     def add(self, data: TensorDict) -> None:
         """Count the policy steps and episodes of a batch after its update."""
@@ -98,6 +107,19 @@ class Progress(AbstractContextManager[Any]):
         lengths = data["next", "step_count"][..., 0][done].tolist()
         totals = data["next", "episode_reward"][..., 0][done].tolist()
         self._episodes.extend(zip(lengths, totals, strict=True))
+        self._marks.append((self.elapsed, self.step))
+        while len(self._marks) > 2 and self._marks[1][0] < self.elapsed - _PACE_SECONDS:
+            self._marks.popleft()
+        if self._bar is not None:
+            length, total = self._episode_means()
+            left = timedelta(seconds=round((self.total - self.step) / self.pace))
+            about = f"{left} left, {self.pace:.0f}/s, length {length:.0f}, return {total:.0f}"
+            self._bar.n = self.step
+            self._bar.set_postfix_str(about)
+
+    def _episode_means(self) -> list[float]:
+        """Mean length and return of the last episodes."""
+        return torch.tensor(self._episodes or [(0.0, 0.0)]).mean(0).tolist()
 
     def row(self, data: TensorDict, losses: Mapping[str, float]) -> dict[str, float]:
         """Numbers to log after an update.
@@ -106,13 +128,11 @@ class Progress(AbstractContextManager[Any]):
             data: the batch.
             losses: means of the update.
         """
-        length, total = torch.tensor(self._episodes or [(0.0, 0.0)]).mean(0).tolist()
+        length, total = self._episode_means()
         terms = {name: float(term.mean()) for name, term in data["next", "reward_terms"].items()}
-        if self._bar is not None:
-            short = " ".join(f"{name} {value:.2f}" for name, value in terms.items())
-            self._bar.set_postfix_str(f"length {length:.0f} return {total:.0f} | {short}", False)
         return {
             "elapsed_s": self.elapsed,
+            "steps_per_second": self.pace,
             "episode_length": length,
             "episode_return": total,
             **{f"term_{name}": value for name, value in terms.items()},
@@ -142,21 +162,36 @@ def check_rewards(data: TensorDict) -> None:
 class ProgressLog:
     """Write one row of numbers per update to `progress.csv`, TensorBoard, and another logger.
 
-    Benchmarks read the CSV, and resuming cuts it to the checkpoint. TorchRL's loggers are not used
-    for these two: its CSV logger writes a file per number, and its TensorBoard logger cannot drop
-    points that a resumed run writes again.
+    Benchmarks read the CSV, and resuming cuts it to the checkpoint. TorchRL's CSV logger is not
+    used for it, because it writes a file per number.
 
     Args:
         folder: folder of the run.
-        logger: TorchRL logger, such as `get_logger("wandb", ...)`, or None.
+        logger: TorchRL logger that gets all rows, or a name of `LoggerName`, whose logger gets
+            settings and films, too.
     """
 
-    def __init__(self, folder: Path, logger: Logger | None = None) -> None:
+    def __init__(self, folder: Path, logger: Logger | LoggerName = "none") -> None:
         self._folder = folder
         self.path = folder / _PROGRESS_FILE
         self._rows = ""  # rows not yet in the file
-        self._logger = logger
-        self._tensorboard: SummaryWriter | None = None
+        self._kind = logger if isinstance(logger, str) else "none"
+        self._logger = None if isinstance(logger, str) else logger
+        self._settings: dict[str, Any] = {}
+        self._tensorboard: RunTensorboard | None = None
+        self._films = self._kind != "none"
+
+    def open(self, settings: Mapping[str, Any], resume: bool = False) -> None:
+        """Open the logger that was given by name, and give it the settings.
+
+        Raises:
+            MissingExtraError: its library is not installed.
+        """
+        plain = (int, float, str)  # others are refused by TensorBoard
+        self._settings = {k: v if isinstance(v, plain) else str(v) for k, v in settings.items()}
+        if self._kind not in ("none", "tensorboard"):
+            self._logger = open_logger(self._kind, self._folder, resume)
+            self._logger.log_hparams(self._settings)
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:
         """Add a row; on a full disk, warn and keep it for the next attempt."""
@@ -166,17 +201,37 @@ class ProgressLog:
         try:
             self._append_rows()
             if self._tensorboard is None:
-                folder = str(self._folder / "tensorboard")
-                self._tensorboard = SummaryWriter(folder, purge_step=step)
-            for name, value in scalars.items():
-                self._tensorboard.add_scalar(name, value, step)
+                self._tensorboard = RunTensorboard(self._folder, step)
+                if self._kind == "tensorboard":
+                    self._tensorboard.log_hparams(self._settings)
+            self._tensorboard.log_metrics(dict(scalars), step)
         except OSError as error:
             # a writer keeps failing after its first failure
             self._tensorboard = None
             torchrl_logger.warning(f"a row of the logs could not be written ({error})")
         if self._logger is not None:
-            for name, value in scalars.items():
-                self._logger.log_scalar(name, value, step)
+            try:
+                self._logger.log_metrics(dict(scalars), step)
+            except Exception as error:  # such as a server that cannot be reached
+                torchrl_logger.warning(f"{self._logger} did not take a row ({error})")
+
+    def film(self, step: int, draw: Callable[[Path], tuple[np.ndarray, float]]) -> None:
+        """Give a film to the logger that was given by name; after a failure there are no more.
+
+        Args:
+            step: policy steps.
+            draw: function that writes a film to a path, and returns its pictures (n, height, width,
+                3) and their number per second.
+        """
+        logger = self._tensorboard if self._kind == "tensorboard" else self._logger
+        if not self._films or logger is None:
+            return
+        path = self._folder / "films" / f"{step:012d}.mp4"
+        try:
+            log_film(logger, step, path, *draw(path))
+        except Exception as error:  # of OpenGL, or of the logger's library
+            self._films = False
+            torchrl_logger.warning(f"there are no films of this training ({error})")
 
     def flush(self) -> None:
         """Write all waiting rows.
@@ -219,9 +274,10 @@ class ProgressLog:
             self.path.unlink()
 
     def close(self) -> None:
-        """Close the TensorBoard files."""
-        if self._tensorboard is not None:
-            self._tensorboard.close()
+        """Close TensorBoard, and the logger that was given by name."""
+        for logger in (self._tensorboard, None if self._kind == "none" else self._logger):
+            if logger is not None:
+                logger.close()
 
 
 def read_progress(folder: Path) -> dict[str, list[float]]:

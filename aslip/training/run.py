@@ -4,7 +4,8 @@
     progress.csv        one row per update
     tensorboard/        the same numbers for TensorBoard
     checkpoints/        the last three, each a ZIP archive without pickle
-    policy.zip          policy file for `aslip.load_policy`
+    policy.zip          policy of the newest checkpoint, for `aslip.load_policy`
+    films/              films of evaluations, with a logger that gets them
 
 Files are written under a temporary name and then renamed, except for the CSV, which grows by whole
 rows.
@@ -26,11 +27,12 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
@@ -43,7 +45,13 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.progress import Progress, ProgressLog, read_progress
-from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
+from aslip.training.settings import (
+    SETTINGS_FILE,
+    LoggerName,
+    differences,
+    read_settings,
+    settings_text,
+)
 
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
@@ -51,9 +59,12 @@ _DAMAGED = ".damaged"
 # settings that may change when a run is resumed
 _MAY_DIFFER = (
     "resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes", "num_collectors",
+    "logger",
 )  # fmt: skip
-# number of differences in an error message, and characters of each
-_SHOWN, _SHOWN_TEXT = 4, 60
+
+
+WritePolicy = Callable[[Mapping[str, Any], Mapping[str, Any]], None]
+"""Function that writes the policy from states of the components and `Progress.state()`."""
 
 
 class TrainingStoppedError(AslipError, RuntimeError):
@@ -70,12 +81,13 @@ class TrainingRun:
         transforms: description of each transform of the environment, by name; saved with the
             settings.
         resume_hint: command that resumes the run, for messages.
-        logger: TorchRL logger that also gets all rows.
+        logger: logger that also gets all rows, see `ProgressLog`.
 
     Raises:
         ConfigurationError: the folder already has a run, and `resume` is not set; it has no run to
             resume; settings or transforms differ from those of the run; it is not writable; or
-            another process trains in it.
+            another process trains in it. `MissingExtraError`: the logger's library is not
+            installed.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
@@ -87,7 +99,7 @@ class TrainingRun:
         resume: bool,
         transforms: Mapping[str, str] | None = None,
         resume_hint: str = "resume=True",
-        logger: Logger | None = None,
+        logger: Logger | LoggerName = "none",
     ) -> None:
         self.folder = user_path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
@@ -97,8 +109,11 @@ class TrainingRun:
         """Settings changed by resuming, such as `total_steps 100 -> 200`."""
         self.command = this_command()
         """Command that started the run."""
+        # of the code that runs, whatever the checkout becomes during the training
+        self._provenance = provenance()
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
+        self._write_policy: WritePolicy | None = None
         self._saved = -1  # policy steps of the newest checkpoint
         try:
             with contextlib.ExitStack() as claim:
@@ -113,6 +128,7 @@ class TrainingRun:
                 f"{str(self.folder)!r} cannot be written to ({error}); give another folder with"
                 " --out"
             ) from error
+        self._log.open(self.settings, resume)
 
     @property
     def policy_file(self) -> Path:
@@ -123,6 +139,10 @@ class TrainingRun:
         """Add a row to the logs."""
         self._log.write(step, scalars)
 
+    def film(self, step: int, draw: Callable[[Path], tuple[np.ndarray, float]]) -> None:
+        """Give a film to the logger; see `ProgressLog.film`."""
+        self._log.film(step, draw)
+
     def history(self) -> dict[str, list[float]]:
         """Columns of the CSV; empty if there is none yet."""
         return read_progress(self.folder)
@@ -131,18 +151,22 @@ class TrainingRun:
 
     @contextmanager
     def checkpointing(
-        self, components: Mapping[str, Any], minutes: float
-    ) -> Iterator[Callable[[int, Mapping[str, Any]], None]]:
+        self,
+        components: Mapping[str, Any],
+        minutes: float,
+        write_policy: WritePolicy | None = None,
+    ) -> Iterator[Callable[..., None]]:
         """Context that writes checkpoints during a training and at its end, even after an error.
 
-        It yields a function `checkpoint(step, metadata)`. Call it after each update: it copies the
-        states of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
-        `aslip.base.processes.ENDINGS` or an error interrupts an update, the last copy is written.
-        After Ctrl-C and signals, standard error names the saved checkpoint.
+        It yields a function `checkpoint(step, metadata, due=False)`. Call it after each update: it
+        copies the states of the components, and writes them if a checkpoint is due. If Ctrl-C, one
+        of `aslip.base.processes.ENDINGS` or an error interrupts an update, the last copy is
+        written. After Ctrl-C and signals, standard error names the saved checkpoint.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
-            minutes: time between checkpoints.
+            minutes: time between checkpoints that are not called due.
+            write_policy: function that writes the policy of each checkpoint.
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
@@ -150,17 +174,20 @@ class TrainingRun:
             TrainingStoppedError: the body raised an error, or the last checkpoint is not written.
         """
         last = -math.inf
+        self._write_policy = write_policy
 
-        def checkpoint(step: int, metadata: Mapping[str, Any]) -> None:
+        def checkpoint(step: int, metadata: Mapping[str, Any], due: bool = False) -> None:
             nonlocal last
             self._state = step, {**metadata, "step": step}, snapshot(components)
-            if time.monotonic() - last >= 60 * minutes:
-                if error := self._save():
+            if due or time.monotonic() - last >= 60 * minutes:
+                if isinstance(error := self._save(), ConfigurationError):
+                    raise error
+                if error:
                     torchrl_logger.warning(f"{_unsaved(step, error)}; training continues")
                 last = time.monotonic()
 
         cause: Exception | None = None
-        unsaved: OSError | None = None
+        unsaved: Exception | None = None
         stopping = False
         with signals_exit():
             try:
@@ -177,7 +204,7 @@ class TrainingRun:
                 if stopping:
                     _say(self._ending(None, unsaved))
                 if stopping or cause or unsaved:
-                    self._claim.close()
+                    self.close()
         if cause or unsaved:
             raise TrainingStoppedError(self._ending(cause, unsaved)) from cause or unsaved
 
@@ -231,18 +258,21 @@ class TrainingRun:
         about = "; ".join([f"{self.folder}: {plan}", title, *self.changes])
         return f"{about}\nCtrl-C saves and stops; to continue: {self.resume_hint}"
 
-    def about(self, progress: Progress) -> dict[str, Any]:
+    def about(self, progress: Mapping[str, Any]) -> dict[str, Any]:
         """Settings, transforms, length and provenance of the training, for the policy's card.
 
         The command is the one that started the run, also after it was resumed.
+
+        Args:
+            progress: `Progress.state()` after the training's last update.
         """
         settings = {k: v for k, v in self.settings.items() if k not in ("out", "resume")}
         return {
             "settings": settings,
             "transforms": self.transforms,
-            "steps": progress.step,
-            "seconds": round(progress.elapsed),
-            **provenance(),
+            "steps": progress["step"],
+            "seconds": round(progress["elapsed_s"]),
+            **self._provenance,
             "command": self.command,
         }
 
@@ -302,8 +332,11 @@ class TrainingRun:
         """Checkpoints, oldest first; names sort by step."""
         return sorted(self._checkpoint_folder.glob("checkpoint-*.zip"))
 
-    def _save(self) -> OSError | None:
-        """Write the last copy if it is not on disk yet; return the error of a failed attempt."""
+    def _save(self) -> OSError | ConfigurationError | None:
+        """Write the last copy if it is not on disk yet; return the error of a failed attempt.
+
+        A `ConfigurationError` is that of a policy that cannot be saved.
+        """
         if self._state is None or self._state[0] == self._saved:
             return None
         step, metadata, states = self._state
@@ -312,19 +345,22 @@ class TrainingRun:
             self._log.flush()
             path = self._checkpoint_folder / f"checkpoint-{step:012d}.zip"
             save_checkpoint(path, states, metadata)
+            if self._write_policy is not None:
+                self._write_policy(states, metadata)
             self._saved = step
             for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
                 old.unlink()
-        except OSError as error:
+        except (OSError, ConfigurationError) as error:
             return error
         return None
 
-    def _ending(self, cause: Exception | None, unsaved: OSError | None) -> str:
+    def _ending(self, cause: Exception | None, unsaved: Exception | None) -> str:
         """Message at the end of an unfinished training: cause, checkpoint, and how to resume."""
         step = 0 if self._state is None else self._state[0]
         by = "" if cause is None else f" by {type(cause).__name__}: {cause}"
-        failed = "" if unsaved is None else f"; {_unsaved(step, unsaved)}"
-        saved = str(self._checkpoints()[-1]) if self._saved >= 0 else "nothing"
+        failed = f"; {_unsaved(step, unsaved)}" if isinstance(unsaved, OSError) else ""
+        nothing = "nothing" if self._state else "nothing, as no update was complete"
+        saved = str(next(reversed(self._checkpoints()), nothing))
         return (
             f"training stopped after {step} policy steps{by}{failed}; saved: {saved}"
             f"\nto continue: {self.resume_hint}"
@@ -332,10 +368,10 @@ class TrainingRun:
 
     def _check_settings(self) -> None:
         old, transforms, self.command = read_settings(self.folder)
-        differing = _differences(old, self.settings, _MAY_DIFFER)
+        differing = differences(old, self.settings, _MAY_DIFFER)
         # compare only settings that both have
         if transforms and self.transforms:
-            differing += _differences(transforms, self.transforms)
+            differing += differences(transforms, self.transforms)
         if differing:
             raise ConfigurationError(
                 f"the run in {str(self.folder)!r} has other settings: {'; '.join(differing)};"
@@ -348,23 +384,7 @@ class TrainingRun:
         ]
 
 
-def _differences(
-    old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
-) -> list[str]:
-    """Descriptions of the first settings that differ; long ones start near the difference."""
-    texts = []
-    for name in sorted((old.keys() | new.keys()) - {*may_differ}):
-        before, now = repr(old.get(name)), repr(new.get(name))
-        if before != now:
-            pairs = enumerate(zip(before, now, strict=False))
-            same = next((i for i, (a, b) in pairs if a != b), 0)
-            start = max(0, same - _SHOWN_TEXT // 2)
-            was, is_ = (text[start : start + _SHOWN_TEXT] for text in (before, now))
-            texts.append(f"{name} was {was} and is {is_}")
-    return texts[:_SHOWN]
-
-
-def _unsaved(step: int, error: OSError) -> str:
+def _unsaved(step: int, error: Exception) -> str:
     return f"the checkpoint of {step} policy steps could not be written ({error})"
 
 

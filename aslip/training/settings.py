@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -17,6 +18,11 @@ from aslip.errors import ConfigurationError, FileDamagedError
 SETTINGS_FILE = "config.json"
 """File of a run's settings, in its folder."""
 
+LoggerName = Literal["none", "tensorboard", "wandb", "mlflow"]
+"""Logger that gets settings, the numbers of each update, and films; see `ProgressLog`."""
+
+# number of differences in an error message, and characters of each
+_SHOWN, _SHOWN_TEXT = 4, 60
 _TRANSFORMS, _COMMAND = "transforms", "first_command"  # beside the settings
 
 
@@ -34,17 +40,38 @@ def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str], str]:
             " folder of a run with --out"
         )
     try:
-        settings = dict(json.loads(path.read_text()))
+        settings = dict(json.loads(path.read_text(encoding="utf-8")))
         transforms, command = settings.pop(_TRANSFORMS, {}), settings.pop(_COMMAND, "")
         return settings, dict(transforms), str(command)
     except (ValueError, TypeError) as error:
         raise FileDamagedError(f"{str(path)!r} is damaged ({error})") from error
 
 
+def say_loading(folder: Path) -> None:
+    """Say that a training begins, before imports that take seconds."""
+    print(f"{folder}: loading libraries and robots", flush=True)
+
+
 def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str) -> str:
     """Content of the file that `read_settings` reads."""
     about = {**settings, _TRANSFORMS: transforms, _COMMAND: command}
     return json.dumps(about, indent=1) + "\n"
+
+
+def differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
+) -> list[str]:
+    """Descriptions of the first settings that differ; long ones start near the difference."""
+    texts = []
+    for name in sorted((old.keys() | new.keys()) - {*may_differ}):
+        before, now = repr(old.get(name)), repr(new.get(name))
+        if before != now:
+            pairs = enumerate(zip(before, now, strict=False))
+            same = next((i for i, (a, b) in pairs if a != b), 0)
+            start = max(0, same - _SHOWN_TEXT // 2)
+            was, is_ = (text[start : start + _SHOWN_TEXT] for text in (before, now))
+            texts.append(f"{name} was {was} and is {is_}")
+    return texts[:_SHOWN]
 
 
 def check_types(config: Any) -> None:

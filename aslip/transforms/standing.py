@@ -110,7 +110,7 @@ def required_transitions(library: GaitLibrary) -> TransitionTable:
     """
     if library.transitions is None:
         raise ConfigurationError(
-            "standing needs a library with stop and start, as recipes/direction_library.py builds"
+            "standing needs a library with stop and start, as `aslip gaits directions` builds"
         )
     return library.transitions
 

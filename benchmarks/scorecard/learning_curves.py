@@ -124,7 +124,6 @@ _OWN_REWARD = {"baseline": " (return of its own reward)"}
 _FREE = {
     "out", "resume", "device", "total_steps", "eval_interval", "checkpoint_minutes",
 }  # fmt: skip
-_RECIPES = Path(__file__).parents[2] / "recipes"
 _IN_ALL_DIRECTIONS = ("directions",)
 _POLL = 5.0  # [s]
 
@@ -242,9 +241,9 @@ def _train(config: Config, recorded: Runs) -> None:
 
 def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Popen[bytes]:
     folder = _folder(config, variant, seed)
-    recipe = "ppo_directions.py" if variant in _IN_ALL_DIRECTIONS else "ppo_aslip.py"
-    command = [sys.executable, str(_RECIPES / recipe), *VARIANTS[variant], "--seed", str(seed)]
-    command += ["--out", str(folder), "--total-steps", str(config.total_steps)]
+    recipe = ["train", *(["directions"] if variant in _IN_ALL_DIRECTIONS else [])]
+    command = [sys.executable, "-m", "aslip", *recipe, *VARIANTS[variant]]
+    command += ["--seed", str(seed), "--out", str(folder), "--total-steps", str(config.total_steps)]
     command += ["--schedule-steps", str(config.schedule_steps)]
     # without a checkpoint, --resume starts from the beginning
     if (folder / "config.json").exists():

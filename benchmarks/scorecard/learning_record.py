@@ -98,7 +98,7 @@ def read_record(path: Path) -> Runs:
         return {}
     rows: dict[tuple[str, int], list[dict[str, str]]] = {}
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file, strict=True)
             if reader.fieldnames != _HEADER:
                 raise ValueError(f"its columns are {reader.fieldnames}, not {_HEADER}")

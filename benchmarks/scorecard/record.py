@@ -54,7 +54,7 @@ class ValueRecord(UserPaths):
         if self.path is None or not self.path.is_file():
             return
         try:
-            found = json.loads(self.path.read_text())
+            found = json.loads(self.path.read_text(encoding="utf-8"))
             settings, self.policies = found["settings"], [*found["policies"]]
             if not isinstance(settings, dict):
                 raise TypeError(f"settings are no object: {settings}")

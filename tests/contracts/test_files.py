@@ -173,9 +173,14 @@ def test_archives_with_changed_removed_or_added_entries_are_refused(kind: Kind, 
 @every_archive
 def test_other_versions_and_files_without_hashes_are_refused(kind: Kind, path: Path) -> None:
     parts = read_zip(path.read_bytes())
-    for name in ("", "aslip policy 99", "aslip gait library 1"):
+    own = parts["format"].decode().removeprefix("aslip ").rpartition(" ")[0]
+    for name in ("", f"aslip {own} 99"):
         path.write_bytes(forge_archive({**parts, "format": name.encode()}))
         with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
+            kind.load(path)
+    for other in {"policy", "checkpoint"} - {own}:
+        path.write_bytes(forge_archive({**parts, "format": f"aslip {other} 2".encode()}))
+        with pytest.raises(FileDamagedError, match=f"is a {other}, not a {own}"):
             kind.load(path)
     path.write_bytes(write_zip({name: parts[name] for name in parts if name != SUMS}))
     with pytest.raises(FileDamagedError, match=f"{SUMS} is missing"):

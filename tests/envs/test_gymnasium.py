@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -12,10 +13,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from stable_baselines3 import PPO
 from tensordict import TensorDict
+from torchrl.envs import StepCounter
 
 import aslip
 from aslip.envs import GymEnv, GymVectorEnv
 from aslip.errors import ConfigurationError, UnknownNameError
+from tests.test_docs import DOCS, blocks
 
 ID = "aslip.envs.gymnasium:aslip/Walk-v0"
 
@@ -64,8 +67,6 @@ def test_step_equals_the_step_of_the_stack(one: GymEnv) -> None:
 
 
 def test_time_limits_truncate_and_falls_terminate(one: GymEnv) -> None:
-    from torchrl.envs import StepCounter
-
     env = GymEnv(replace={"step_limit": StepCounter(2)}, drop=["low_reward"], num_threads=1)
     env.reset(seed=0)
     ends = [env.step(np.zeros(10))[2:4] for _ in range(2)]
@@ -159,12 +160,47 @@ def test_wrong_settings_and_options_are_refused(one: GymEnv) -> None:
         one.reset(options={"comand": 1.0})
 
 
-def test_stable_baselines_ppo_trains(one: GymEnv) -> None:
-    agent = PPO("MlpPolicy", one, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
+@pytest.fixture(scope="module")
+def adapters() -> dict[str, Any]:
+    """Classes of the page on other libraries."""
+    names: dict[str, Any] = {"np": np}
+    for _, code in blocks((DOCS / "libraries.md").read_text(), "python"):
+        if "\nclass " in code:
+            exec(code, names)
+    return names
+
+
+def test_stable_baselines_ppo_trains(four: GymVectorEnv, adapters: dict[str, Any]) -> None:
+    envs = adapters["BatchVecEnv"](four)
+    agent = PPO("MlpPolicy", envs, n_steps=4, batch_size=16, n_epochs=1, seed=0, device="cpu")
     before = [p.clone() for p in agent.policy.parameters()]
     assert agent.learn(16).num_timesteps == 16
     moved = [not torch.equal(a, b) for a, b in zip(before, agent.policy.parameters(), strict=True)]
     assert all(moved)
+
+
+def test_adapters_tell_time_limits_from_falls(adapters: dict[str, Any]) -> None:
+    """And give the first observation of the next episode, Stable-Baselines3 the last one, too."""
+    settings: dict[str, Any] = {"replace": {"step_limit": StepCounter(2)}, "num_threads": 1}
+    envs = adapters["BatchVecEnv"](GymVectorEnv(3, **settings))
+    rsl = adapters["RslEnv"](aslip.make_env(num_envs=3, seed=1, **settings))
+    envs.seed(1)
+    envs.reset()
+    actions = np.zeros((3, 10), dtype=np.float32)
+    actions[1] = np.nan
+    for last in (False, True):
+        observations, rewards, dones, infos = envs.step(actions)
+        seen, reward, done, extras = rsl.step(torch.from_numpy(actions))
+        assert np.array_equal(observations, seen["policy"].numpy())
+        assert np.array_equal(rewards, reward.numpy())
+        assert dones.tolist() == done.tolist() == [last, True, last]
+        limits = [info.get("TimeLimit.truncated", False) for info in infos]
+        assert limits == extras["time_outs"].tolist() == [last, False, last]
+        for i in np.flatnonzero(dones):
+            assert not np.array_equal(infos[i]["terminal_observation"], observations[i])
+    rsl.episode_length_buf = torch.tensor([0, 1, 0])
+    actions[:] = 0
+    assert rsl.step(torch.from_numpy(actions))[3]["time_outs"].tolist() == [False, True, False]
 
 
 def test_vectors_take_the_wrapper_of_cleanrl(four: GymVectorEnv) -> None:

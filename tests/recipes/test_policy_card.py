@@ -206,8 +206,8 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     text = "\n".join(policy_card.benchmark_sections(config, str(tmp_path / "mine.zip"), about))
     for name in (*names, "walking_quality", "pushes", "targets"):
         assert f"table of {name}" in text
-    assert text.count("python -m benchmarks.scorecard.direction_targets --policy mine") == 1
-    assert text.count("python -m") == 1  # as other commands have other settings
+    assert text.count("aslip measure scorecard.direction_targets --policy mine") == 1
+    assert text.count("aslip measure") == 1  # as other commands have other settings
     assert "pushes of 0.2 s of more than 30.0 N s" in text
     assert "It was trained to walk in all directions on robots" in text
 

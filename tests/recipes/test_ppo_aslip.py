@@ -9,14 +9,15 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 from torchrl.record.loggers import CSVLogger
 
 import aslip
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.policy import make_recurrent_actor, policy_stack, read_card
 from aslip.walking import Walker, WalkResult
-from recipes import ppo_aslip
+from recipes import ppo_aslip, walk
 from recipes.ppo_settings import scheduled, with_schedule
 from tests.helpers import TINY
 
@@ -63,7 +64,7 @@ def test_runs_with_the_same_seed_are_equal_with_or_without_evaluations(
     assert ppo_aslip.main(config) == run[1]
     first, second = _rows(run[0]), _rows(config.out)
     for row in (*first, *second):
-        for name in [name for name in row if name == "elapsed_s" or name.startswith("eval_")]:
+        for name in [name for name in row if name.startswith(("elapsed_s", "steps_per", "eval_"))]:
             del row[name]
     assert first == second
     a, b = (aslip.load_policy(folder).state_dict() for folder in (run[0], config.out))
@@ -97,6 +98,33 @@ def test_a_finished_run_resumes_with_its_final_learning_rate(
     assert all(resumed[key] == weights[key] + 64 for key in weights if key.endswith("count"))
     ppo_aslip.main(longer)
     assert "nothing left to train after 192 of 192" in capsys.readouterr().out
+
+
+def test_an_interrupted_evaluation_keeps_the_update_and_its_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*args: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ppo_aslip, "evaluate_all", interrupted)
+    folder = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        ppo_aslip.main(replace(TINY, out=folder, eval_interval=64, checkpoint_minutes=100))
+    assert [row["step"] for row in _rows(folder)] == ["64"]
+    assert [path.stem for path in folder.glob("checkpoints/*.zip")] == ["checkpoint-000000000064"]
+    assert walk.training_length(str(folder)) == "trained for 64 policy steps of 128"
+    with pytest.raises(FileDamagedError, match=r"is a checkpoint, not a policy; .*policy\.zip"):
+        aslip.load_policy(next(folder.glob("checkpoints/*.zip")))
+
+
+def test_numbers_of_a_batch() -> None:
+    """A critic that is right to a constant explains all of the variance."""
+    target = torch.tensor([[1.0], [2.0], [6.0]])
+    values = {"value_target": target, "action_log_prob": torch.tensor([3.0, 4.0, 5.0])}
+    for value, explained in ((target - 3, 1.0), (torch.zeros(3, 1), 0.0), (target / 2, 0.75)):
+        data = TensorDict({**values, "state_value": value}, batch_size=3)
+        found = ppo_aslip.batch_numbers(data)
+        assert found == {"entropy": -4.0, "explained_variance": pytest.approx(explained)}
 
 
 def test_schedules_decay_exponentially_at_the_end() -> None:

@@ -1,6 +1,7 @@
 """The recipe that walks a policy: table, log, viewer and film."""
 
 import contextlib
+import re
 import signal
 import sys
 from functools import partial
@@ -33,6 +34,7 @@ def test_walk_follows_the_schedule_and_is_logged(
     assert "| 0.9 | 1.00 |" in table
     log = read(path)
     assert "the robot walked for 1.80 s" in table
+    assert re.search(r"^policy straight: trained for \d+ policy steps$", table, re.MULTILINE)
     assert f"wrote {path}" in table
     assert f"python -m aslip.log replay --verify {path}" in table
     assert len(log["/step"]) == 60

@@ -1,13 +1,17 @@
 """Films have their frames, or are refused."""
 
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import aslip
 from aslip.errors import ConfigurationError
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
+from aslip.show import film
 from aslip.show.film import camera_beside, write_video
 
 
@@ -45,6 +49,26 @@ def test_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.nda
     assert about["fps"] == pytest.approx(33.33, abs=0.01)
     np.testing.assert_allclose(decoded.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=6)
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@leaves_pipes
+def test_the_film_of_an_evaluation_shows_its_middle_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[list[film.Frame]] = []
+
+    def draw(frames: list[film.Frame], look: film.Look) -> list[np.ndarray]:
+        drawn.append(frames)
+        return [np.zeros((look.height, look.width, 3), np.uint8)] * len(frames)
+
+    monkeypatch.setattr(film, "draw", draw)
+    monkeypatch.setattr(film, "_FILM_STEPS", 7)
+    path, speeds = tmp_path / "films" / "1.mp4", [0.0, 2.0, 0.5]
+    with closing(aslip.make_env(num_envs=3, seed=0)) as env:
+        pictures, rate = film.film_evaluation(aslip.load_policy("straight"), env, speeds, path)
+    assert decoded_film(path)[0]["fps"] == pytest.approx(rate, abs=0.01)
+    assert len(pictures) == len(drawn[0]) == 3
+    assert drawn[0][-1].qpos[0] == pytest.approx(2.0 * 7 * CASSIE.policy_period, abs=0.05)
 
 
 @pytest.mark.parametrize("camera", ["side", "follow", "front"])

@@ -29,7 +29,7 @@ from aslip.envs import (
     randomise_stack,
 )
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import read_progress
@@ -226,9 +226,12 @@ def test_a_training_stopped_during_an_update_resumes(
         with pytest.raises(SystemExit) as info:
             train(config)
         assert info.value.code == 128 + signal.SIGTERM
-    assert not (config.out / "policy.zip").exists()
     newest = max((config.out / "checkpoints").iterdir())
     assert newest.name == "checkpoint-000000000256.zip"
+    kept, policy = Holder(), aslip.load_policy(config.out).state_dict()
+    load_checkpoint(newest, {"actor": kept})
+    assert read_card(config.out)["made_by"]["steps"] == 256
+    assert all(torch.equal(policy[name], kept.state[name]) for name in policy)
     assert resume_training(config) == undisturbed
 
 

@@ -94,12 +94,13 @@ def test_a_moved_run_can_resume_with_more_steps(settings: Settings) -> None:
 def test_the_card_of_a_resumed_run_has_the_command_that_started_it(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    progress = Progress(10, 1).state()
     monkeypatch.setattr("sys.argv", ["recipe.py", "--seed", "4"])
-    first = open_run(settings).about(Progress(10, 1))["command"]
+    first = open_run(settings).about(progress)["command"]
     assert first.endswith("--seed 4")
     monkeypatch.setattr("sys.argv", ["recipe.py", "--resume"])
     for _ in range(2):
-        assert open_run(settings, resume=True).about(Progress(10, 1))["command"] == first
+        assert open_run(settings, resume=True).about(progress)["command"] == first
 
 
 def test_pytorch_has_no_more_threads_than_a_container_has_processors(

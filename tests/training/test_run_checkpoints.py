@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from aslip.base.processes import ENDINGS
-from aslip.errors import FileDamagedError
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.training import run as run_module
 from aslip.training.run import TrainingRun, TrainingStoppedError
 from tests.training.run_folder import (
@@ -37,17 +37,22 @@ def test_the_last_three_checkpoints_are_kept(settings: Settings) -> None:
 def test_checkpoints_are_written_at_the_given_interval(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first is written at once, the last at the end."""
+    """The first is written at once, the last at the end, and those that are called due."""
     now, run = [1000.0], open_run(settings)
     monkeypatch.setattr(run_module.time, "monotonic", lambda: now[0])
     found = []
-    with run.checkpointing({"net": constant_network(0.0)}, 2.0) as checkpoint:
+    net, policies = constant_network(0.0), []
+    with run.checkpointing({"net": net}, 2.0, lambda *state: policies.append(state)) as checkpoint:
         for step in range(1, 7):
-            checkpoint(step, {})
+            checkpoint(step, {"weight": step}, due=step == 5)
             found.append(saved_steps(settings))
             now[0] += 50.0
-    assert found == [[1], [1], [1], [1, 4], [1, 4], [1, 4]]
-    assert saved_steps(settings) == [1, 4, 6]
+            torch.nn.init.constant_(net.weight, step)
+    assert found == [[1], [1], [1], [1, 4], [1, 4, 5], [1, 4, 5]]
+    assert saved_steps(settings) == [4, 5, 6]
+    # each checkpoint has a policy, with the weights of the copy
+    assert [about["step"] for _, about in policies] == [1, 4, 5, 6]
+    assert [float(states["net"]["weight"][0, 0]) for states, _ in policies] == [0, 3, 4, 5]
 
 
 def test_the_last_copy_is_saved_however_the_training_ends(settings: Settings) -> None:
@@ -90,7 +95,8 @@ def test_an_interrupted_training_names_its_checkpoint_and_how_to_resume(
 
 
 @pytest.mark.parametrize(
-    ("steps", "saved"), [((10,), "checkpoint-000000000010.zip"), ((), "nothing")]
+    ("steps", "saved"),
+    [((10,), "checkpoint-000000000010.zip"), ((), "nothing, as no update was complete")],
 )
 def test_an_error_names_its_cause_and_the_checkpoint_to_resume_from(
     settings: Settings, steps: tuple[int, ...], saved: str
@@ -107,6 +113,25 @@ def test_an_error_names_its_cause_and_the_checkpoint_to_resume_from(
     assert isinstance(info.value.__cause__, ValueError)
     assert messages == ["training stopped"]
     assert saved_steps(settings) == [*steps]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ConfigurationError("not finite")])
+def test_a_policy_that_is_interrupted_is_written_again_and_one_that_cannot_be_stops(
+    settings: Settings, error: Any
+) -> None:
+    policy = Mock(side_effect=[error, None if error is KeyboardInterrupt else error])
+    net = {"net": constant_network(1.0)}
+    ending = KeyboardInterrupt if error is KeyboardInterrupt else TrainingStoppedError
+    with (
+        quiet(), pytest.raises(ending) as info,
+        open_run(settings).checkpointing(net, 0.0, policy) as checkpoint,
+    ):  # fmt: skip
+        checkpoint(10, {})
+    assert policy.call_count == 2
+    assert saved_steps(settings) == [10]
+    if ending is TrainingStoppedError:
+        assert "after 10 policy steps by ConfigurationError: not finite" in str(info.value)
+        assert "saved: " in str(info.value)
 
 
 @pytest.mark.parametrize("number", ENDINGS)

@@ -79,7 +79,7 @@ def fingerprint(out: Path) -> dict[str, Any]:
     Of the random generators only torch's counts: recipes neither seed nor use Python's and NumPy's.
     """
     progress = read_progress(out)
-    del progress["elapsed_s"]
+    del progress["elapsed_s"], progress["steps_per_second"]
     newest = max((out / "checkpoints").glob("checkpoint-*.zip"))
     generators = Holder()
     kept = load_checkpoint(newest, {"rng": generators})

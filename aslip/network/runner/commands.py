@@ -13,6 +13,7 @@ import select
 import socket
 import sys
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from typing import Any, Final, Self
 
 from aslip.base.command_line import Reports, say
@@ -106,10 +107,11 @@ class Keyboard(Source):
 
     def __init__(self, descriptor: int | None = None) -> None:
         self._terminal = sys.stdin.fileno() if descriptor is None else descriptor
-        if not os.isatty(self._terminal):
+        # Windows has no termios
+        if not os.isatty(self._terminal) or find_spec("termios") is None:
             raise ConfigurationError(
-                "the keyboard needs a terminal, but standard input is not one; give --command,"
-                " --schedule or --listen"
+                "the keyboard needs a terminal of Linux or macOS, but standard input is not one;"
+                " give --command, --schedule or --listen"
             )
         self._request = Request(walk=False)
         self._settings: list[Any] | None = None

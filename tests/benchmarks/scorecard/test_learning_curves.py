@@ -152,7 +152,7 @@ def test_walks_in_all_directions_have_their_own_recipe(
         learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
     )
     learning_curves._start(config, "directions", 0, 0)
-    assert Path(commands[0][1]).name == "ppo_directions.py"
+    assert commands[0][1:5] == ["-m", "aslip", "train", "directions"]
 
 
 def test_baseline_learns_with_the_settings_of_the_paper() -> None:
