@@ -115,8 +115,8 @@ def main(
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
     collector = (make_collector or collector_class(config, critic.in_keys))(
-        on_device(config, make_train_env), actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
-        device=config.device,
+        on_device(config, make_train_env), actor, num_envs=config.num_envs,
+        samples=config.samples, seed=config.seed, device=config.device,
     )  # fmt: skip
     parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "collector": collector}
     interface = {"network": make_actor, **policy_interface(env)}

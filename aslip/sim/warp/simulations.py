@@ -27,17 +27,17 @@ from aslip.robot import CASSIE, Robot
 from aslip.robot.model import check_timestep
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.parameters import DYNAMICS
-from aslip.sim.sensors import filter_start
 from aslip.sim.simulations import watched_size
 from aslip.sim.truth import Snapshot
 from aslip.sim.warp import low_level as low
-from aslip.sim.warp.states import history_of_ring, ring_of_history, state_parts
+from aslip.sim.warp import restarts
+from aslip.sim.warp.states import read_states, write_states
+from aslip.sim.warp.structs import make_inertial, make_joints, make_motors
 
 CONTACTS: Final = 24
 """Contacts of a robot for which there is memory, by default."""
 CONSTRAINTS: Final = 96
 """Constraint rows of a robot for which there is memory, by default."""
-_INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 # beyond, MuJoCo resets a simulation
 _LARGEST = 1e10
 # fields that MuJoCo derives from those of `DYNAMICS`
@@ -103,62 +103,9 @@ class WarpSimulations:
         self.m.opt.gravity = wp.array(np.tile(self.model.opt.gravity, (num, 1)), dtype=wp.vec3)
         self.d = mjw.make_data(undelayed, nworld=num, nconmax=self.contacts, njmax=self.constraints)
         robot, at = self.robot, self.robot.indices
-        motors, joints = len(robot.motor_names), len(robot.joint_names)
-        packets = robot.sensor_window
-
-        def sent(size: int) -> wp.array:
-            return wp.zeros((num, packets, size), dtype=float)
-
-        step = 2 * np.pi / 2.0**robot.motor_encoder_bits / robot.gear
-        self.motors = _struct(
-            low.Motors,
-            qpos=at.motor_qpos.astype(np.int32),
-            qvel=at.motor_qvel.astype(np.int32),
-            gear=robot.gear,
-            slope=-2.0 / (robot.no_load_speed / robot.gear),
-            limit=robot.torque_limit,
-            step=step,
-            velocity_step=step / np.pi,
-            stiffness=np.tile(robot.stiffness, (num, 1)),
-            damping=np.tile(robot.damping, (num, 1)),
-            target=np.zeros((num, motors)),
-            delay=np.full(num, round(robot.torque_delay / self.model.opt.timestep), np.int32),
-            tick=np.zeros(num, np.int32),
-            waiting=np.zeros((num, low.RING, motors)),
-            count=np.zeros((num, low.TAPS, motors), np.int32),
-            position=np.zeros((num, motors)),
-            velocity=np.zeros((num, motors)),
-            sent_position=sent(motors),
-            sent_velocity=sent(motors),
-        )
-        numerator, denominator, constant, ramp, gain = filter_start(robot.physics_timestep)
-        double = {"numerator": numerator, "denominator": denominator}
-        double |= {"constant": constant, "ramp": ramp, "memory": np.zeros((num, joints, len(ramp)))}
-        self.joints = _struct(
-            low.Joints,
-            qpos=at.joint_qpos.astype(np.int32),
-            qvel=at.joint_qvel.astype(np.int32),
-            step=2 * np.pi / 2.0**robot.joint_encoder_bits,
-            ramp_gain=gain,
-            sent_position=sent(joints),
-            sent_velocity=sent(joints),
-            **{name: wp.array(value, dtype=wp.float64) for name, value in double.items()},
-        )
-        self.inertial = _struct(
-            low.Inertial,
-            site=wp.vec3(*self.model.site(robot.imu_site).pos),
-            attitude=wp.zeros(num, dtype=wp.quat),
-            spin=wp.zeros(num, dtype=wp.vec3),
-            force=wp.zeros(num, dtype=wp.vec3),
-            sent_orientation=sent(4),
-            sent_gyro=sent(3),
-            sent_force=sent(3),
-            acceleration=np.zeros((num, 6)),
-            torque=np.zeros((num, at.num_qvel)),
-            ground=np.zeros((num, 2, 3)),
-            largest=np.zeros((num, 2)),
-            power=np.zeros((num, motors)),
-        )
+        self.motors = make_motors(num, self.model, robot)
+        self.joints = make_joints(num, robot)
+        self.inertial = make_inertial(num, self.model, robot)
         self._ground = wp.array(at.ground_force.astype(np.int32), dtype=int)
         key = self.model.key("standing")
         self._standing = [wp.array(x[None], dtype=float) for x in (key.qpos, key.qvel)]
@@ -236,8 +183,8 @@ class WarpSimulations:
             self._physics_step(first)
         d = self.d
         self._launch(
-            low.find_diverged, self.num, self.motors, d.qpos, d.qvel, d.qacc, d.overflow, _LARGEST,
-            self.diverged, self._overflows,
+            restarts.find_diverged, self.num, self.motors, d.qpos, d.qvel, d.qacc, d.overflow,
+            _LARGEST, self.diverged, self._overflows,
         )  # fmt: skip
         self._restart(self.diverged, self._standing)
 
@@ -256,8 +203,9 @@ class WarpSimulations:
         mjw.step(m, d)
         starts = int(first % per == 0)
         self._launch(
-            low.feel, num, self.motors, self.inertial, gravity, d.qacc, starts, per, packets[0], 1
-        )
+            low.add_specific_force, num, self.motors, self.inertial, gravity, d.qacc, starts,
+            per, packets[0], 1,
+        )  # fmt: skip
         if self._stride == 2:
             # joints halfway, as semi-implicit Euler moves at the velocity of the step's end; the
             # pelvis' attitude stays half a millisecond ahead
@@ -269,10 +217,11 @@ class WarpSimulations:
                 timestep, packets[1],
             )  # fmt: skip
             self._launch(
-                low.feel, num, self.motors, self.inertial, gravity, d.qacc, 0, per, packets[1], 0
-            )
+                low.add_specific_force, num, self.motors, self.inertial, gravity, d.qacc, 0,
+                per, packets[1], 0,
+            )  # fmt: skip
         self._launch(
-            low.weigh, num, self.motors, self.inertial, self._ground, d.sensordata,
+            low.add_loads, num, self.motors, self.inertial, self._ground, d.sensordata,
             d.qfrc_actuator, d.qvel, d.qacc, int(first == 0), self._stride / self.robot.substeps,
         )  # fmt: skip
         self._launch(
@@ -284,20 +233,20 @@ class WarpSimulations:
         """Restart marked robots, and bring derived quantities of all up to date."""
         d, m, num, timestep = self.d, self.m, self.num, self.robot.physics_timestep
         self._launch(
-            low.restart, num, self.motors, restarted, *initial, d.time, d.qpos, d.qvel,
+            restarts.restart, num, self.motors, restarted, *initial, d.time, d.qpos, d.qvel,
             d.qacc_warmstart, d.ctrl, d.overflow,
         )  # fmt: skip
         mjw.forward(m, d)
         self._launch(
-            low.settle_motors, (num, d.ctrl.shape[1]), self.motors, restarted, d.qpos, d.qvel,
+            restarts.settle_motors, (num, d.ctrl.shape[1]), self.motors, restarted, d.qpos, d.qvel,
             timestep,
         )  # fmt: skip
         self._launch(
-            low.settle_joints, (num, len(self.robot.joint_names)), self.joints, restarted, d.qpos,
-            d.qvel, timestep,
+            restarts.settle_joints, (num, len(self.robot.joint_names)), self.joints, restarted,
+            d.qpos, d.qvel, timestep,
         )  # fmt: skip
         self._launch(
-            low.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
+            restarts.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
             self._ground, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
         )  # fmt: skip
 
@@ -376,26 +325,7 @@ class WarpSimulations:
     def states(self) -> np.ndarray:
         """(n, k) copy of the complete states; see `aslip.sim.Simulations.states`."""
         wp.synchronize_device(self._device)  # torch's stream is another one than Warp's
-        motors, model = self.motors, self.model
-        parts = state_parts(model)
-        physics = np.tile(_default_state(model), (self.num, 1))
-        tick = motors.tick.numpy()
-        physics[:, parts["time"]] = tick[:, None] * model.opt.timestep
-        for name, array in self._mirrored().items():
-            physics[:, parts[name]] = array.numpy().reshape(self.num, -1)
-        physics[:, parts["history"]] = history_of_ring(motors.waiting.numpy(), tick, model)
-        memory = (
-            motors.count.numpy()[:, 1:],
-            self.joints.memory.numpy().swapaxes(1, 2),
-            motors.position.numpy(),
-            motors.velocity.numpy(),
-        )
-        return np.concatenate([physics, *(part.reshape(self.num, -1) for part in memory)], axis=1)
-
-    @property
-    def state_size(self) -> int:
-        """Length of one simulation's row in `states`."""
-        return self.states().shape[1]
+        return read_states(self.model, self.d, self.motors, self.joints)
 
     def set_states(self, states: np.ndarray) -> None:
         """Restore a result of `states`, of these or of other simulations of the same model.
@@ -403,34 +333,10 @@ class WarpSimulations:
         Raises:
             ShapeError: the states have another number or model; nothing is changed.
         """
-        states = check_states(states, (self.num, self.state_size))
-        wp.synchronize_device(self._device)
-        parts, motors, num = state_parts(self.model), self.motors, self.num
-        tick = np.rint(states[:, parts["time"]][:, 0] / self.model.opt.timestep).astype(int)
-        for name, array in self._mirrored().items():
-            array.assign(states[:, parts[name]].reshape(array.numpy().shape))
-        motors.tick.assign(tick)
-        motors.waiting.assign(ring_of_history(states[:, parts["history"]], tick, self.model))
-        taps, width = low.TAPS, motors.position.shape[1]
-        joints = self.joints.memory
-        sizes = [(taps - 1) * width, joints.shape[1] * joints.shape[2], width]
-        memory = states[:, mujoco.mj_stateSize(self.model, _INTEGRATION) :]
-        count, joint, position, velocity = np.split(memory, np.cumsum(sizes), axis=1)
-        counts = motors.count.numpy().copy()
-        counts[:, 1:] = count.reshape(num, taps - 1, width)
-        motors.count.assign(counts)
-        joints.assign(joint.reshape(num, joints.shape[2], -1).swapaxes(1, 2))
-        motors.position.assign(position)
-        motors.velocity.assign(velocity)
+        states = check_states(states, self.states().shape)
+        write_states(states, self.model, self.d, self.motors, self.joints)
         wp.synchronize_device(self._device)
         self._update_derived()
-
-    def _mirrored(self) -> dict[str, wp.array]:
-        """Arrays that MuJoCo's integration state has, too, by its names."""
-        d = self.d
-        return {"qpos": d.qpos, "qvel": d.qvel, "warmstart": d.qacc_warmstart, "ctrl": d.ctrl} | {
-            "xfrc_applied": d.xfrc_applied
-        }
 
 
 def _field(model: mjw.Model, name: str) -> wp.array:
@@ -439,27 +345,9 @@ def _field(model: mjw.Model, name: str) -> wp.array:
     return getattr(model.opt if owner else model, option)
 
 
-def _default_state(model: mujoco.MjModel) -> np.ndarray:
-    """Integration state after a reset."""
-    state = np.empty(mujoco.mj_stateSize(model, _INTEGRATION))
-    mujoco.mj_getState(model, mujoco.MjData(model), state, _INTEGRATION)
-    return state
-
-
 def _without_delay(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy of a model whose motors act at once: torques wait in the ring."""
     copied = copy(model)
     copied.actuator_delay[:] = 0.0
     copied.actuator_history[:] = 0
     return copied
-
-
-def _struct(kind: Any, **values: Any) -> Any:
-    """Struct of Warp with arrays on the current device."""
-    struct = kind()
-    for name, value in values.items():
-        if isinstance(value, np.ndarray):
-            whole = np.issubdtype(value.dtype, np.integer)
-            value = wp.array(value, dtype=int if whole else float)
-        setattr(struct, name, value)
-    return struct
