@@ -31,16 +31,17 @@ from tensordict.nn import TensorDictModuleBase
 import aslip
 from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, shipped_library
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.library.library import SHIPPED
-from aslip.policy import add_memory, check_policy_fits, policy_stack
+from aslip.policy import add_memory, check_policy_fits, policy_environment, policy_library
 from aslip.robot import CASSIE, SIDES
-from aslip.rom import Gait
+from aslip.rom import Motion
 from aslip.show.plots import save_figure
 from aslip.training.run import write_text
 from aslip.walking import Walks, command_library, record_walks
-from benchmarks.flags import Common, WithLibrary
+from benchmarks.flags import Common, Directions, WithLibrary
 
 Result = TypeVar("Result")
 Settings = TypeVar("Settings", bound=Common)
@@ -84,23 +85,27 @@ class Subject:
 
         Args:
             policy: the policy.
-            make_env: function that makes its environment; by default `aslip.make_env` with the
-                stack named in the policy's card. For a module it is the default stack, or the one
+            make_env: function that makes its environment; by default `aslip.make_env` with
+                `aslip.policy.policy_environment`. For a module it is the default stack, or the one
                 for all directions if the library has several axes.
-            library: library of the default environment; by default that of the stack.
+            library: library of the default environment; by default the one that
+                `aslip.policy.policy_library` finds.
 
         Raises:
             AssetError: no such policy exists.
-            ConfigurationError: the card names no stack, and `make_env` is not given.
+            ConfigurationError: the card names no stack, and `make_env` is not given; or the policy
+                follows other gaits.
         """
-        stored = isinstance(policy, str | Path)
-        if make_env is None:
+        if not isinstance(policy, str | Path):
             several = library is not None and library.command_size > 1
-            stack = policy_stack(policy) if stored else "walking" if several else "straight"
-            make_env = partial(aslip.make_env, stack=stack, library=library)
-        module = aslip.load_policy(policy) if stored else policy
-        library = command_library(policy) if library is None else library
-        return cls(policy_name(policy), module, make_env, stored, library)
+            stack = "walking" if several else "straight"
+            make_env = make_env or partial(aslip.make_env, stack=stack, library=library)
+            library = command_library(policy, library)
+            return cls(policy_name(policy), policy, make_env, False, library)
+        if make_env is None:
+            make_env = partial(aslip.make_env, **policy_environment(policy, library))
+        module, library = aslip.load_policy(policy), command_library(policy, library)
+        return cls(policy_name(policy), module, make_env, True, library)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy whose episodes end as in training.
@@ -152,15 +157,36 @@ class Policies:
         """Names in reports."""
         return [*self.config.policy] if self.given is None else [policy_name(self.given)]
 
-    def load(self, make_env: MakeEnv | None = None) -> list[Subject]:
-        """Load the subjects.
+    def load(self, stack: str | None = None) -> list[Subject]:
+        """Load the subjects, which follow the same gaits.
 
         Args:
-            make_env: function that makes the environments unless the caller gives one.
+            stack: name of the stack of the environments, unless the caller gives a function that
+                makes them; by default that of each policy.
+
+        Raises:
+            ConfigurationError: they follow different gaits.
         """
         policies = self.config.policy if self.given is None else [self.given]
-        library = chosen_library(self.config)
-        return [Subject.load(one, self.make_env or make_env, library) for one in policies]
+        subjects = [self._subject(one, stack) for one in policies]
+        for subject in subjects[1:]:
+            if subject.library.sha256 != subjects[0].library.sha256:
+                raise ConfigurationError(
+                    f"policies that count as seeds of one method must follow the same gaits;"
+                    f" {subjects[0].name!r} and {subject.name!r} do not"
+                )
+        return subjects
+
+    def _subject(self, policy: Policy, stack: str | None = None) -> Subject:
+        library, make_env = chosen_library(self.config, policy), self.make_env
+        if stack is not None and make_env is None:
+            make_env = partial(aslip.make_env, stack=stack, library=library)
+        subject = Subject.load(policy, make_env, library)
+        if isinstance(self.config, Directions) and subject.library.command_size == 1:
+            raise ConfigurationError(
+                f"the benchmark is of walks in all directions, and {subject.name!r} walks straight"
+            )
+        return subject
 
     def methods(self) -> dict[str, list[Subject]]:
         """Load the seeds of each method: `method=policy`, or policies that are methods each."""
@@ -170,16 +196,17 @@ class Policies:
         for text in self.config.policy:
             named = _NAMED.fullmatch(text)
             name, path = named.groups() if named else (text, text)
-            subject = Subject.load(path, self.make_env, chosen_library(self.config))
-            methods.setdefault(name, []).append(subject)
+            methods.setdefault(name, []).append(self._subject(path))
         return methods
 
 
-def chosen_library(config: Common) -> GaitLibrary | None:
-    """Library of the flag; None without one."""
+def chosen_library(config: Common, policy: Policy) -> GaitLibrary | None:
+    """Library that a policy follows, by the flag or its file; None for the default of a module."""
     name = config.library if isinstance(config, WithLibrary) else None
+    if isinstance(policy, str | Path):
+        return policy_library(policy, name)
     if name is None:
-        return None
+        return shipped_library("directions") if isinstance(config, Directions) else None
     # a shipped one is read once
     return shipped_library(name) if name in SHIPPED else GaitLibrary.load(name)
 
@@ -219,9 +246,9 @@ def straight(library: GaitLibrary, speed: float) -> list[float]:
     return [speed, *[0.0] * (library.command_size - 1)]
 
 
-def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
-    """Gait whose speed is nearest to a speed [m/s]."""
-    return min(library.gaits, key=lambda gait: abs(gait.speed - speed))
+def nearest_motion(library: GaitLibrary, speed: float) -> Motion:
+    """Motion whose forward speed is nearest to a speed [m/s]."""
+    return min(library.motions, key=lambda motion: abs(motion.command[0] - speed))
 
 
 def shortest_swing(footholds: Footholds, command: float | Sequence[float]) -> float:

@@ -36,7 +36,8 @@ class WithLibrary(Common):
     """Flags of benchmarks of policies that may walk in all directions."""
 
     library: str | None = None
-    """Library that the policies were trained with; by default that of their stack."""
+    """Library that the policies were trained with: a file, or a shipped one; by default the copy
+    beside each policy, or that of its stack."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,6 @@ class Directions(WithLibrary):
 
     policy: tuple[str, ...] = ("directions",)
     """Policies to measure: names, files or run folders; several count as seeds of one method."""
-    library: str | None = "directions"
-    """Library over three commands that the policies were trained with; a file, or the shipped
-    one."""
 
 
 def check_numbers(config: Any, *positive: str, **least: float) -> None:

@@ -2,6 +2,7 @@
 
     python recipes/ablate.py                                        # straight walks, three seeds
     python recipes/ablate.py --variants default no_delta --seeds 0 1 --total-steps 500000
+    python recipes/ablate.py --variants default my_variants.py      # functions that edit the stack
     python recipes/ablate.py directions --list
     python recipes/ablate.py directions --variants default no_effort --seeds 0 1 2 3 4
 
@@ -49,8 +50,9 @@ def main(config: Config, resume_command: str = "the same call") -> Found:
 
     Raises:
         UnknownNameError: a variant is unknown.
-        ConfigurationError: a training in the folder had another budget or other gaits, or another
-            process works in the folder.
+        AssetError: there is no such file of variants.
+        ConfigurationError: a file has no variants, a training in the folder had another budget or
+            other gaits, or another process works in the folder.
         FileDamagedError: results in the folder cannot be read.
     """
     lists = {"straight": ablate_straight, "directions": ablate_directions}

@@ -161,6 +161,7 @@ def experiment(config: Config, resume_command: str) -> Experiment:
     """Trainings of all variants; `resume_command` is for messages."""
     return Experiment(
         VARIANTS,
+        directions_stack,
         DIRECTION_WEIGHTS,
         partial(_train, config.library, resume_command),
         _STEP_SECONDS,

@@ -27,7 +27,8 @@ class Config(UserPaths):
     task: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "straight"
     """Name of the walks that are trained."""
     variants: tuple[str, ...] = ()
-    """Names of the variants to train; all by default."""
+    """Names of the variants to train, all by default; or Python files, whose public functions are
+    variants and edit the stack."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 500_000

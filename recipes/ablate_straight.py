@@ -121,17 +121,17 @@ VARIANTS: Mapping[str, Variant] = {
 def experiment(config: Config, resume_command: str) -> Experiment:
     """Trainings of all variants; `resume_command` is for messages."""
     train = partial(_train, config.library, resume_command)
-    return Experiment(VARIANTS, PAPER_WEIGHTS, train, _STEP_SECONDS)
+    return Experiment(VARIANTS, default_stack, PAPER_WEIGHTS, train, _STEP_SECONDS)
 
 
 def _train(
     library: str, resume_command: str, variant: Variant, settings: Mapping[str, Any]
 ) -> list[WalkResult]:
     """Train or resume one run; returns its walks at all speeds, on the task of evaluations."""
-    config = replace(PRESETS["default"], **settings, **variant.settings)
+    config = replace(PRESETS["default"], library=library, **settings, **variant.settings)
     gaits = GaitLibrary.load(library)
     stack = (variant.make_stack or default_stack)(gaits)
     ppo_aslip.main(config, partial(aslip.make_env, stack=stack), resume_hint=resume_command)
-    speeds, common = gaits.speeds.tolist(), evaluation_stack(stack)
+    speeds, common = gaits.speeds.tolist(), evaluation_stack(stack, gaits)
     with closing(aslip.make_env(num_envs=len(speeds), seed=config.seed, stack=common)) as env:
         return evaluate(aslip.load_policy(config.out), env, speeds, config.eval_steps)

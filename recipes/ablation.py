@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import importlib.util
+import inspect
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from ablate_settings import Config
 
+import aslip
+from aslip.base.assets import user_path
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.base.writing import claimed
-from aslip.envs import MAX_EPISODE_STEPS, Stack
-from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
+from aslip.envs import MAX_EPISODE_STEPS, Stack, evaluation_stack
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.show.plots import compare_learning, save_figure
-from aslip.training.progress import read_progress
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.transforms import WeightedReward
@@ -57,6 +61,8 @@ class Experiment:
 
     variants: Mapping[str, Variant]
     """The variants by name."""
+    make_stack: MakeStack
+    """Function that makes the stack of the default, which variants of one's own edit."""
     weights: Mapping[str, float]
     """Weights of the reward by which the walks are compared."""
     train: Callable[[Variant, dict[str, Any]], list[WalkResult]]
@@ -74,13 +80,69 @@ def without_terms(make_stack: MakeStack, weights: Mapping[str, float], *names: s
     return lambda library: {**make_stack(library), "reward": WeightedReward(scaled)}
 
 
+def with_files(experiment: Experiment, config: Config) -> tuple[Experiment, Config]:
+    """Put the variants of Python files in place of the files' names.
+
+    Raises:
+        AssetError: there is no such file.
+        ConfigurationError: it defines no function, or one with the name of another variant.
+    """
+    variants, names = dict(experiment.variants), []
+    for name in config.variants:
+        found = own_variants(name, experiment.make_stack) if name.endswith(".py") else {}
+        if twice := sorted(found.keys() & variants.keys()):
+            raise ConfigurationError(f"{name!r} defines {twice}, which are names of other variants")
+        variants |= found
+        names += found or [name]
+    return replace(experiment, variants=variants), replace(config, variants=tuple(names))
+
+
+def own_variants(file: str, make_stack: MakeStack) -> dict[str, Variant]:
+    """Variants of a Python file: its public functions, each of which edits a stack.
+
+    Raises:
+        AssetError, ConfigurationError: see `with_files`.
+    """
+    path = user_path(file)
+    if not path.is_file():
+        raise AssetError(f"there is no file {file!r} of variants")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    functions = {
+        name: value
+        for name, value in vars(module).items()
+        if inspect.isfunction(value) and value.__module__ == spec.name and name[0] != "_"
+    }
+    if not functions:
+        raise ConfigurationError(
+            f"{file!r} defines no public function; each variant is a function of the stack, such"
+            " as `def no_noise(stack): del stack['noise']`"
+        )
+
+    def edited(edit: Callable[[Stack], Stack | None], library: GaitLibrary) -> Stack:
+        stack = make_stack(library)
+        found = edit(stack)
+        return stack if found is None else found
+
+    return {
+        name: Variant(
+            next(iter((inspect.getdoc(edit) or "").splitlines()), ""),
+            make_stack=partial(edited, edit),
+        )
+        for name, edit in functions.items()
+    }
+
+
 def run(config: Config, experiment: Experiment) -> Found:
     """Train missing variants, then write table and picture; returns the walks."""
+    experiment, config = with_files(experiment, config)
     if config.list:
         for name, variant in experiment.variants.items():
             print(f"{name:24s}{variant.question}")
         return {}
-    names = config.variants or tuple(experiment.variants)
+    names = [*(config.variants or experiment.variants)]
     for name in names:
         if name not in experiment.variants:
             raise UnknownNameError.among("variant", name, experiment.variants)
@@ -91,11 +153,16 @@ def run(config: Config, experiment: Experiment) -> Found:
 
 def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
     """Train, and write table and picture; see `run`."""
-    shared = {**budget(config), "library_sha256": GaitLibrary.load(config.library).sha256}
+    library = GaitLibrary.load(config.library)
+    shared = {**budget(config), "library_sha256": library.sha256}
     jobs = [(name, seed, config.out / f"{name}-{seed}") for seed in config.seeds for name in names]
     done = {folder: read_results(folder, shared) for _, _, folder in jobs}
     for folder in [folder for folder, results in done.items() if results is None]:
         is_started(folder, config)  # before hours of training
+    for name in {name for name, _, folder in jobs if done[folder] is None}:
+        stack = (experiment.variants[name].make_stack or experiment.make_stack)(library)
+        for one in (stack, evaluation_stack(stack, library)):
+            aslip.make_env(stack=one).close()
     print(announcement(config, experiment, [*done.values()]), flush=True)
     found: Found = {}
     durations: list[float] = []
@@ -119,9 +186,7 @@ def _run(config: Config, experiment: Experiment, names: Sequence[str]) -> Found:
         shown = tables(found, config.total_steps, experiment)
         write_text(config.out / "ablation.md", shown + "\n")
         if durations or i + 1 == len(jobs):
-            runs = {
-                key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
-            }
+            runs = {key: [config.out / f"{key}-{seed}" for seed in found[key]] for key in found}
             save_figure(compare_learning(runs), config.out / "ablation.png")
     print(tables(found, config.total_steps, experiment))
     return found

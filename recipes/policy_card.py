@@ -63,7 +63,16 @@ from aslip.base.tables import markdown
 from aslip.base.writing import replacing
 from aslip.envs import make_env
 from aslip.library import GaitLibrary
-from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
+from aslip.policy import (
+    CARD,
+    POLICY_FORMAT,
+    find_policy,
+    keep_library,
+    load_policy,
+    policy_environment,
+    policy_library,
+    read_card,
+)
 from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
 from aslip.training.run import write_text
@@ -203,7 +212,7 @@ def interface_section(about: dict[str, Any]) -> str:
 def walks_section(policy: Path, about: dict[str, Any]) -> str:
     """Section on evaluation episodes at constant commands, with the noise of the training."""
     seed = about.get("made_by", {}).get("settings", {}).get("seed", 0)
-    env, commands = make_evaluation_env(partial(make_env, stack=policy_stack(policy)), seed)
+    env, commands = make_evaluation_env(partial(make_env, **policy_environment(policy)), seed)
     with closing(env):
         env.set_seed(seed)
         rows, _, total = walk_table(evaluate(load_policy(policy), env, commands)).rpartition("\n\n")
@@ -326,7 +335,7 @@ def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
     """Copy policy and learning curve of a run, without the run folder in the recorded command."""
     source = find_policy(run)
     load_policy(source)  # raises if damaged
-    policy_stack(source)  # raises if the stack has no name
+    policy_environment(source)  # raises if the stack has no name, or the gaits are missing
     config.assets.mkdir(parents=True, exist_ok=True)
     entries = POLICY_FORMAT.read(source)
     card = json.loads(entries[CARD])
@@ -334,6 +343,7 @@ def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
     if made.get("command"):
         made["command"] = re.sub(_OWN, "", made["command"])
     POLICY_FORMAT.write(target, {**entries, CARD: as_json(card)})
+    keep_library(target, policy_library(source))
     curve.unlink(missing_ok=True)
     if (run / "learning_curve.png").exists():
         with replacing(curve) as file:
@@ -346,7 +356,9 @@ def _move(policy: Path, library: str) -> None:
     card = json.loads(entries[CARD])
     if card["library_sha256"] is not None:
         card["made_by"].setdefault("trained_on", card["library_sha256"])
-    card["library_sha256"] = GaitLibrary.load(library).sha256
+    gaits = GaitLibrary.load(library)
+    card["library_sha256"] = gaits.sha256
+    keep_library(policy, gaits)
     POLICY_FORMAT.write(policy, {**entries, CARD: as_json(card)})
 
 

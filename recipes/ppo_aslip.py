@@ -5,6 +5,7 @@
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
     python recipes/ppo_aslip.py gpu              # 4096 robots on a GPU
+    python recipes/ppo_aslip.py --library lip.npz                      # follow gaits of your own
     python recipes/ppo_aslip.py --num-collectors 8                     # robots in Ray actors
     python recipes/ppo_aslip.py --logger wandb                         # or tensorboard, mlflow
 
@@ -32,7 +33,7 @@ from functools import partial
 from typing import Any, cast
 
 import torch
-from ppo_presets import environments
+from ppo_presets import environments, own_library
 from tensordict import TensorDict
 from tensordict.utils import NestedKey
 from torchrl.modules import ProbabilisticActor, ValueOperator, set_recurrent_mode
@@ -48,9 +49,11 @@ from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
     is_recurrent,
+    keep_library,
     make_actor,
     make_critic,
     policy_interface,
+    reference_library,
     save_policy,
     set_std,
     update_normalizers,
@@ -76,7 +79,7 @@ from aslip.walking import WalkResult, evaluate, evaluation_means, walk_table
 @on_cpu_in_single
 def main(
     config: Config,
-    make_env: MakeEnv = aslip.make_env,
+    make_env: MakeEnv | None = None,
     make_actor: MakeActor = make_actor,
     make_critic: Callable[..., ValueOperator] = make_critic,
     *,
@@ -90,7 +93,8 @@ def main(
 
     Args:
         config: settings of learning.
-        make_env: makes the environment from the keywords `num_envs` and `seed`.
+        make_env: makes the environment from the keywords `num_envs` and `seed`; by default that of
+            `aslip.make_env` on the library of the settings.
         make_actor: makes the policy from a normaliser, a `PolicyShape` and the observation's keys.
         make_critic: makes the value function from the same arguments and the keyword `scale`.
         make_train_env: makes the environment for training, with the physics of the keyword
@@ -104,19 +108,19 @@ def main(
     """
     torch.manual_seed(config.seed)
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
-    make_train_env = make_train_env or partial(make_training_env, make_env)
-    if config.physics_timestep != CASSIE.physics_timestep:
-        make_train_env = partial(make_train_env, timestep=config.physics_timestep)
+    make_env = make_env or partial(aslip.make_env, library=own_library(config))
+    make_train_env = with_physics(config, make_train_env or partial(make_training_env, make_env))
     env, speeds = make_evaluation_env(make_env, config.seed)
     run = TrainingRun(
         config.out, config, resume=config.resume, resume_hint=resume_hint,
         logger=logger or config.logger, transforms=describe_environments(env, make_train_env),
     )  # fmt: skip
+    keep_library(run.policy_file, reference_library(env))
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
     collector = (make_collector or collector_class(config, critic.in_keys))(
-        on_device(config, make_train_env), actor, num_envs=config.num_envs,
-        samples=config.samples, seed=config.seed, device=config.device,
+        make_train_env, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
+        device=config.device,
     )  # fmt: skip
     parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "collector": collector}
     interface = {"network": make_actor, **policy_interface(env)}
@@ -143,16 +147,19 @@ def main(
     return results
 
 
-def on_device(config: Config, make_train_env: MakeEnv) -> MakeEnv:
-    """Function that makes the training's robots on the device of the settings.
+def with_physics(config: Config, make_train_env: MakeEnv) -> MakeEnv:
+    """Function that makes the environment for training with the physics of the settings.
 
     Raises:
-        ConfigurationError: there is no such device.
+        ConfigurationError: there is no such device, or MuJoCo Warp is not installed.
     """
-    if config.backend == "batch":
-        return make_train_env
-    check_device(config.device)
-    return partial(make_train_env, backend=config.backend, device=config.device)
+    physics: dict[str, Any] = {}
+    if config.physics_timestep != CASSIE.physics_timestep:
+        physics["timestep"] = config.physics_timestep
+    if config.backend == "warp":
+        check_device(config.device)
+        physics |= {"backend": "warp", "device": config.device}
+    return partial(make_train_env, **physics) if physics else make_train_env
 
 
 def make_networks(
@@ -307,4 +314,4 @@ def save_results(
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(CONFIG, **environments(CONFIG.preset), resume_hint=resume_command(CONFIG))
+        main(CONFIG, **environments(CONFIG), resume_hint=resume_command(CONFIG))

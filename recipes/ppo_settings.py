@@ -56,6 +56,9 @@ class Config(UserPaths):
     """Folder of the run."""
     resume: bool = False
     """Continue the run in the folder, with its settings except for those given."""
+    library: str | None = None
+    """Library of gaits: a file or the name of a shipped one; by default that of the preset. The run
+    keeps a copy."""
     seed: int = 0
     """Seed of all random numbers."""
     device: str = "cpu"

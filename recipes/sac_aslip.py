@@ -28,6 +28,8 @@ class Config(UserPaths):
 
     out: Path = Path("runs/sac_aslip")
     """Folder of the run."""
+    library: str | None = None
+    """Library of gaits: a file or the name of a shipped one; by default the paper's gaits."""
     seed: int = 0
     """Seed of all random numbers."""
     total_steps: int = 60_000
@@ -64,6 +66,7 @@ from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
     action_mirror,
+    keep_library,
     observation_mirror,
     policy_interface,
     save_policy,
@@ -122,8 +125,12 @@ def main(config: Config) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     bounded = {"action": ActionDelta(("reference", "motor_target"), limit=_LIMIT)}
-    env = aslip.make_env(replace=bounded, seed=config.seed)
+    library = aslip.GaitLibrary.load(config.library or "gaits")
+    make_env = partial(aslip.make_env, replace=bounded, library=library)
+    env = make_env(seed=config.seed)
     interface, spec = policy_interface(env), env.action_spec_unbatched
+    file = config.out / "policy.zip"
+    keep_library(file, library)
     size = env.observation_spec["observation"].shape[-1]
     shape, normalizer = PolicyShape(size, spec.shape[-1], 2 * (_CELLS,)), RunningNormalizer(size)
     actor = make_actor(normalizer, shape)
@@ -131,7 +138,7 @@ def main(config: Config) -> None:
     target, optimizer = SoftUpdate(loss, tau=0.02), make_optimizer(loss)
     buffer = ReplayBuffer(storage=LazyTensorStorage(2 * config.total_steps), batch_size=512)
     collector = LocalCollector(
-        partial(aslip.make_env, replace=bounded, keep=["observation", *COUNTED]), actor,
+        partial(make_env, keep=["observation", *COUNTED]), actor,
         num_envs=config.num_envs, samples=config.samples, seed=config.seed,
     )  # fmt: skip
     progress = Progress(config.total_steps, config.samples)
@@ -148,7 +155,6 @@ def main(config: Config) -> None:
             log.write(progress.step, progress.row(data, numbers(data, losses)))
             if progress.step % _POLICY_INTERVAL < config.samples or progress.finished:
                 about = {"seed": config.seed, "steps": progress.step}
-                file = config.out / "policy.zip"
                 save_policy(file, actor, shape, about, network=make_actor, **interface)
             if progress.finished:
                 break

@@ -34,7 +34,8 @@ class Config(UserPaths):
     policy: str = "directions"
     """Name of a shipped policy, its file, or the folder of a run."""
     library: str | None = None
-    """Library of gaits: a file or the name of a shipped one; by default that of the stack."""
+    """Library of gaits: a file or the name of a shipped one; by default the copy beside the policy,
+    or that of its stack."""
     command: str = "0:0.0,4:1.0,8:0.5"
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins. In all directions
     three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate; "seconds:stand" to
@@ -118,7 +119,7 @@ from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
-from aslip.policy import policy_stack, read_card
+from aslip.policy import policy_environment, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
@@ -177,9 +178,9 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         ConfigurationError: the policy cannot stand, and the schedule asks for it.
         SpeedOutOfRangeError: a command of the schedule is outside the library.
     """
-    chosen = None if config.library is None else aslip.GaitLibrary.load(config.library)
-    stack = STACKS[policy_stack(config.policy)](chosen)
-    library = command_library(config.policy) if chosen is None else chosen
+    made = policy_environment(config.policy, config.library)
+    stack = STACKS[made["stack"]](made["library"])
+    library = command_library(config.policy, made["library"])
     schedule = schedule.of_size(library.command_size)
     if any(schedule.stands) and "stand" not in stack:
         raise ConfigurationError(

@@ -140,7 +140,7 @@ def test_ppo_hyper_parameters() -> None:
     assert config.samples == -(-5096 // config.num_envs) * config.num_envs
     assert config.last_learning_rate == config.learning_rate
     assert config.last_std == config.std == PolicyShape().std
-    env = environments("paper")["make_train_env"](num_envs=1, seed=0)
+    env = environments(PRESETS["paper"])["make_train_env"](num_envs=1, seed=0)
     (command,) = [t for t in env.transforms if isinstance(t, SpeedCommand)]
     assert math.isinf(command.interval)
     assert "feedforward" not in env.transform_names

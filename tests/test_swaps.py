@@ -38,8 +38,7 @@ from aslip.policy import (
     read_card,
     save_policy,
 )  # fmt: skip
-from aslip.robot import CASSIE, STANDARD_GRAVITY
-from aslip.rom import Angle, MotionSample, Track
+from aslip.robot import CASSIE
 from aslip.sim import Torque
 from aslip.training.progress import read_progress
 from aslip.transforms import ActionDelta, SeededTransform, WeightedReward, extend_spec
@@ -147,44 +146,6 @@ def train_with_sac(config: Config) -> MakeEnv:
     return make_env
 
 
-def train_on_own_motion(config: Config) -> MakeEnv:
-    """Custom motion from formulas, tabulated at 0 and 2 m/s, and saved in a file."""
-
-    class March:
-        """Walk with a level body; the feet move on closed paths, half a stride apart."""
-
-        stride = 0.6  # [s]
-
-        def __init__(self, speed: float) -> None:
-            self.command = np.array([speed])
-
-        def sample(self, phase: np.ndarray) -> MotionSample:
-            m, speed, rate = len(phase), self.command[0], 2 * np.pi / self.stride
-            angle = 2 * np.pi * (phase[:, None] + [0.0, 0.5])  # left, right; lift-off at 0
-            reach, lift, zeros = speed * self.stride / 4, 0.1, np.zeros((m, 2))
-            forward = speed * self.stride * phase
-            body = np.stack([forward, np.zeros(m), np.full(m, 0.85)], axis=-1)
-            width = np.tile([0.12, -0.12], (m, 1))
-            height = lift * np.maximum(np.sin(angle), 0)
-            feet = np.stack([forward[:, None] - reach * np.cos(angle), width, height], axis=-1)
-            rise = lift * rate * np.where(np.sin(angle) > 0, np.cos(angle), 0)
-            swing = np.stack([speed + reach * rate * np.sin(angle), zeros, rise], axis=-1)
-            weight = CASSIE.total_mass * STANDARD_GRAVITY * (1 - np.sin(angle)) / 2
-            return MotionSample(
-                body=Track(body, np.tile([speed, 0.0, 0.0], (m, 1))),
-                feet=Track(feet, swing),
-                ground_force=np.stack([zeros, zeros, weight], axis=-1),
-                heading=Angle.zeros(m),
-                foot_heading=zeros,
-            )
-
-    file = config.out.with_suffix(".npz")
-    aslip.GaitLibrary.from_motions([March(0.0), March(2.0)], samples=32).save(file)
-    make_env = partial(aslip.make_env, library=aslip.GaitLibrary.load(file))
-    ppo_aslip.main(config, make_env)
-    return make_env
-
-
 def replay_packets(file: Path) -> MakeEnv:
     """Robot without a simulator: it sends the packets of a file, independent of its targets."""
 
@@ -222,7 +183,6 @@ TRAININGS: list[tuple[Callable[[Config], MakeEnv], MakeActor | None]] = [
     (train_recurrent_policy, None),
     (train_with_torques, None),
     (train_with_sac, sac_aslip.make_actor),
-    (train_on_own_motion, None),
 ]
 every_training = pytest.mark.parametrize(
     ("train", "network"), TRAININGS, ids=[train.__name__ for train, _ in TRAININGS]
@@ -327,16 +287,6 @@ def test_sac_acts_within_its_bounds(trained: Trained) -> None:
         parameter.mul_(1000)
     observation = TensorDict(observation=torch.randn(50, 64), batch_size=50)
     assert policy(observation)["action"].abs().max() == pytest.approx(0.4, abs=1e-3)
-
-
-def test_a_custom_motion_guides_the_policy(trained: Trained) -> None:
-    folder, make_env = trained(train_on_own_motion)
-    walk = _rollout(make_env, aslip.load_policy(folder))
-    reference = walk["next", "reference"]
-    torch.testing.assert_close(reference["body_position"][:, 2], torch.full((12,), 0.85))
-    torch.testing.assert_close(reference["body_velocity"][:, 0], torch.full((12,), 0.5))
-    with pytest.raises(ConfigurationError, match="its reference is another motion"):
-        Walker(folder)
 
 
 def test_a_robot_without_a_simulator_walks_and_is_measured(tmp_path: Path) -> None:

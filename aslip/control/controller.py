@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +23,7 @@ from aslip.control.steering import Steering
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.library import GaitLibrary
-from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
+from aslip.policy import entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
@@ -94,7 +93,7 @@ class Controller(ControllerBase[ControllerState]):
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
             key of `ControllerState.tensordict`, to `action`.
-        library: the gaits; by default the shipped ones of the policy's stack.
+        library: the gaits; by default those that `aslip.policy.policy_library` finds.
         observation: keys of the observation's entries in order; by default those in the policy's
             file, or `OBSERVATION_TABLE`.
         baseline: key of the angles to which the action is added; by default the one in the
@@ -139,8 +138,7 @@ class Controller(ControllerBase[ControllerState]):
             baseline = baseline or _key(card["baseline"])
             command_rates = card["command_rates"] if command_rates is None else command_rates
             stands = card["stands"] if stands is None else stands
-            library = library or GaitLibrary.load(policy_library(policy))
-            check_policy_library(policy, card, partial(getattr, library, "sha256"))
+            library = policy_library(policy, library)
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library = library or GaitLibrary.load()

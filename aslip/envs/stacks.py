@@ -59,22 +59,24 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
     Observation and action baseline are those of the given stack, whose own reward terms are left
-    out. Robot, start, rewards and ends of episodes are those of `default_stack()`, or of
-    `walking_stack(library)`, whose commands are walked; the rewards compare with its gaits, even
-    if the policy observes another motion. A stack that stands keeps standing.
+    out. Robot, start, rewards and ends of episodes are those of `default_stack(library)`, or in all
+    directions of `walking_stack(library)`, whose commands are walked; the rewards compare with its
+    gaits, even if the policy observes another motion. A stack that stands keeps standing.
 
     Args:
         stack: the stack.
-        library: library over three commands, for walks in all directions.
+        library: library of the gaits; by default the paper's.
 
     Raises:
         ConfigurationError: `stack` is a name, or commands of the library do not have three numbers.
         UnknownNameError: the stack has no transform `start`.
     """
     require_names(stack, ["start"])
-    common, names = default_stack(), [*_EVALUATION]
-    if library is not None:
-        common = STACKS["directions" if "stand" in stack else "walking"](library)
+    library = shipped_library("gaits") if library is None else library
+    turning, names = library.command_size > 1, [*_EVALUATION]
+    name = ("directions" if "stand" in stack else "walking") if turning else "straight"
+    common = STACKS[name](library)
+    if turning:
         names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
     trained = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
@@ -84,9 +86,9 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         if name not in trained | {*evaluation} and not isinstance(transform, RewardTerm)
     }
     compared: dict[str, Any] = {"out_keys": ("comparison", "target")}
-    if library is not None:
+    if turning:
         seen["command"] = common["command"]
         compared["in_keys"] = ["filtered_command", "phase"]
         compared["in_keys"] += ["mode", "stand"] if "stand" in stack else []
-    target = ReferenceInjection(library or shipped_library("gaits"), **compared)
+    target = ReferenceInjection(library, **compared)
     return {"start": evaluation.pop("start"), **seen, "comparison": target, **evaluation}

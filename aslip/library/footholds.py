@@ -123,6 +123,14 @@ class Footholds:
         return phases, steps
 
 
+def footholds_of(library: GaitLibrary) -> Footholds | None:
+    """Footholds of motions; None if a foot does not swing once per stride."""
+    try:
+        return Footholds(library)
+    except ConfigurationError:
+        return None
+
+
 def _first(command: float | Sequence[float]) -> float:
     return float(np.ravel(command)[0])
 

@@ -41,6 +41,11 @@ _JOINT = 2e-3  # largest gap between gait and transitions [m]
 _PLACES = ("body_position", *(f"{side}_foot_position" for side in SIDES))
 
 
+def library_file(path: str | Path) -> Path:
+    """File of a library, from a path or the name of a shipped one."""
+    return asset_path(f"{path}.npz") if path in SHIPPED else user_path(path)
+
+
 class GaitLibrary(nn.Module):
     """Motions over a grid of commands, with their inverse kinematics.
 
@@ -68,6 +73,8 @@ class GaitLibrary(nn.Module):
         transitions: TransitionTable | None = None,
     ) -> None:
         super().__init__()
+        self.name = ""
+        """Name or file that `load` read; empty for a library built in memory."""
         self.made_by = dict(made_by or {})
         self.motions = tuple(motions or ())
         commands = [np.asarray(motion.command).tolist() for motion in self.motions]
@@ -103,11 +110,13 @@ class GaitLibrary(nn.Module):
     ) -> GaitLibrary:
         """Tabulate motions and make a library of them.
 
-        Arguments and errors are those of `tabulate` and of the class. With a `rank`, the table of
-        more motions than that is a `LowRankTable` of so many components: 10 000 gaits and 192
-        components take 13 MB with 48 samples in single precision.
+        Arguments and errors are those of `tabulate` and of the class. A warning names motions whose
+        positions, velocities and forces do not fit together, see `warn_of_mistakes`.
+
+        With a `rank`, the table of more motions than that is a `LowRankTable` of so many
+        components: 10 000 gaits and 192 components take 13 MB with 48 samples in single precision.
         """
-        from aslip.library.tabulate import tabulate
+        from aslip.library.tabulate import tabulate, warn_of_mistakes
 
         table = tabulate(
             motions,
@@ -122,7 +131,9 @@ class GaitLibrary(nn.Module):
         if rank is not None and rank < len(motions):
             table = LowRankTable.of(table, rank)
         kept = motions if keep_motions else None
-        return cls(kept, table, made_by=made_by, transitions=transitions)
+        library = cls(kept, table, made_by=made_by, transitions=transitions)
+        warn_of_mistakes(motions, robot)
+        return library
 
     @classmethod
     def load(cls, path: str | Path = "gaits", robot: Robot = CASSIE) -> GaitLibrary:
@@ -138,9 +149,10 @@ class GaitLibrary(nn.Module):
             AssetError: there is no such file.
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
-        file = asset_path(f"{path}.npz") if path in SHIPPED else user_path(path)
-        motions, table, made_by, transitions = read_library(file, robot)
-        return cls(motions or None, table, made_by=made_by, transitions=transitions)
+        motions, table, made_by, transitions = read_library(library_file(path), robot)
+        library = cls(motions or None, table, made_by=made_by, transitions=transitions)
+        library.name = str(path)
+        return library
 
     def save(self, path: str | Path) -> None:
         """Write motions, table and transitions; `load` returns the same bits.

@@ -11,6 +11,7 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.library.library import GaitLibrary
 from aslip.library.table import ARRAYS, PAPER_SPEEDS, GaitTable
+from aslip.library.tabulate import tabulate
 from aslip.rom.gait import Gait
 from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track, displacement
 from aslip.rom.pendulum import PendulumWalk, pendulum_walks
@@ -62,10 +63,9 @@ def single_reference_library(
             f"the forward speed of the walk must be positive, got {walk.speed} m/s"
         )
     speeds = np.array([0.0, PAPER_SPEEDS[-1]])
-    one = GaitLibrary.from_motions([walk], samples=samples, torque_jumps=True)
-    assert isinstance(one.table, GaitTable)  # not of low rank
+    one = tabulate([walk], samples=samples, torque_jumps=True)
     walks = [StretchedWalk(walk, float(speed)) for speed in speeds]
-    return GaitLibrary(walks, _stretched(one.table, speeds))
+    return GaitLibrary(walks, _stretched(one, speeds))
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Final, TypedDict, Unpack
 
 import numpy as np
 
@@ -15,9 +16,15 @@ from aslip.library.region import listed
 from aslip.library.rows import FramedMotion
 from aslip.library.table import ARRAYS, FEWEST_SAMPLES, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot
 from aslip.rom import Gait, Transition
 from aslip.rom.motion import COMMAND_SIZES, PHASE_SAMPLES, Motion
+
+# limits of `warn_of_mistakes`
+_RATE_GAP: Final = 0.05
+_LEAST_RATE_GAP: Final = 0.01
+_LOADED_SPEED: Final = 0.1
+_WEIGHT_GAP: Final = 0.2
 
 
 class BuildOptions(TypedDict, total=False):
@@ -130,6 +137,51 @@ def _check_samples(samples: int) -> None:
     """
     if samples < FEWEST_SAMPLES:
         raise ConfigurationError(f"samples must be {FEWEST_SAMPLES} or more, got {samples!r}")
+
+
+def warn_of_mistakes(motions: Sequence[Motion], robot: Robot = CASSIE) -> None:
+    """Warn of motions that no robot can follow, whatever the model: one line for each mistake.
+
+    Velocities must be the change of positions, on average over a stride within 5 % and 0.01 m/s or
+    rad/s; feet must rest while they carry load, on average below 0.1 m/s; ground forces must carry
+    the robot's weight over a stride, within 20 %; and one motion alone has no range of commands.
+    """
+    weight = robot.total_mass * STANDARD_GRAVITY
+    found: dict[str, list[str]] = {}
+    for motion in motions:
+        for mistake, text in _mistakes(motion, weight):
+            command = np.asarray(motion.command).tolist()
+            found.setdefault(mistake, []).append(f"at command {command} {text}")
+    if len(motions) == 1:
+        command = np.asarray(motions[0].command).tolist()
+        found["every command is walked as that of the only motion"] = [f"{command}"]
+    for mistake, places in found.items():
+        of = f"{len(places)} of {len(motions)} motions: " if len(motions) > 1 else ""
+        warnings.warn(f"{of}{mistake}, {places[0]}", stacklevel=3)
+
+
+def _mistakes(motion: Motion, weight: float) -> Iterator[tuple[str, str]]:
+    """Mistakes of a motion, each with the numbers that show it."""
+    s = motion.sample(np.arange(-1, PHASE_SAMPLES + 1) / PHASE_SAMPLES)
+    tracks = {
+        "body.velocity": (s.body.position, s.body.velocity),
+        "feet.velocity": (s.feet.position, s.feet.velocity),
+        "heading.rate": (s.heading.angle, s.heading.rate),
+    }
+    changes = {}
+    for name, (position, velocity) in tracks.items():
+        change = (position[2:] - position[:-2]) / (2 * motion.stride / PHASE_SAMPLES)
+        size, gap = (float(np.abs(x).mean()) for x in (change, change - velocity[1:-1]))
+        if gap > _RATE_GAP * size + _LEAST_RATE_GAP:
+            yield f"{name} is not the rate of the position or angle", f"by {gap:.2g} of {size:.2g}"
+        changes[name] = change
+    load = s.ground_force[1:-1, :, 2]
+    carried = load.sum(axis=1).mean()
+    if not abs(carried / weight - 1) < _WEIGHT_GAP:
+        yield f"ground_force does not carry the robot's {weight:.0f} N", f"but {carried:.0f} N"
+    moved = np.abs(load) * np.linalg.norm(changes["feet.velocity"], axis=-1)
+    if (speed := moved.sum() / max(np.abs(load).sum(), 1.0)) > _LOADED_SPEED:
+        yield "feet move while they carry load", f"at {speed:.2g} m/s, averaged by load"
 
 
 def grid_of(

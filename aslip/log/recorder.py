@@ -27,7 +27,7 @@ from aslip.envs import (
 )
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.library.footholds import Footholds
+from aslip.library.footholds import footholds_of
 from aslip.log import JointRate, messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
 from aslip.log.session import Session
@@ -182,7 +182,7 @@ class Recorder(Transform):
             library = _library_of(env)
             writer.attach(files, _metadata(base.model, config, library), _PACKAGES)
             names = _observed_names(env, tensordict)
-            chosen = (self._robot, self._fast, _footholds_of(library))
+            chosen = (self._robot, self._fast, None if library is None else footholds_of(library))
             return Session(writer, base, *chosen, tensordict, names)
         except BaseException as error:
             writer.discard()
@@ -197,14 +197,6 @@ def _library_of(env: StackEnv) -> GaitLibrary | None:
     """Gaits of a stack's clock; None without a clock."""
     try:
         return library_of(env)
-    except ConfigurationError:
-        return None
-
-
-def _footholds_of(library: GaitLibrary | None) -> Footholds | None:
-    """Footholds of gaits; None if they have none."""
-    try:
-        return None if library is None else Footholds(library)
     except ConfigurationError:
         return None
 

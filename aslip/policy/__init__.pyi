@@ -4,8 +4,10 @@ from .file import POLICY_FORMAT as POLICY_FORMAT
 from .file import MakeActor as MakeActor
 from .file import check_policy_library as check_policy_library
 from .file import find_policy as find_policy
+from .file import keep_library as keep_library
 from .file import load_policy as load_policy
 from .file import observation_difference as observation_difference
+from .file import policy_environment as policy_environment
 from .file import policy_library as policy_library
 from .file import policy_stack as policy_stack
 from .file import read_card as read_card
@@ -13,6 +15,7 @@ from .file import save_policy as save_policy
 from .interface import baseline_key as baseline_key
 from .interface import check_policy_fits as check_policy_fits
 from .interface import policy_interface as policy_interface
+from .interface import reference_library as reference_library
 from .interface import stack_name as stack_name
 from .networks import PolicyShape as PolicyShape
 from .networks import RunningNormalizer as RunningNormalizer

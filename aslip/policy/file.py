@@ -23,7 +23,10 @@ from torchrl.modules import ProbabilisticActor
 from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.base.assets import asset_path, user_path
 from aslip.base.decorators import check_types, on_cpu_in_single
+from aslip.envs import shipped_library
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.library.library import SHIPPED
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
@@ -34,6 +37,9 @@ MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], Prob
 
 POLICY_FILE = "policy.zip"
 """Name of the policy in the folder of a training run."""
+
+LIBRARY_FILE = "library.npz"
+"""Name of the copy of the gaits in the folder of a training run."""
 
 POLICY_FORMAT = ArchiveFormat(
     "policy", 2, instead=f"the policy of a run is the file {POLICY_FILE} in its folder"
@@ -252,7 +258,7 @@ def policy_stack(name_or_path: str | Path) -> str:
     """
     card = read_card(name_or_path)
     if card["stack"] is None:
-        why = f"its action is added to {card['baseline']!r}, or its reference is another motion"
+        why = f"its action is added to {card['baseline']!r}, or its reference is no gait library"
         if card["observation"] not in _known_observations():
             why = _nearest_difference(card["observation"])
         raise ConfigurationError(
@@ -262,16 +268,69 @@ def policy_stack(name_or_path: str | Path) -> str:
     return card["stack"]
 
 
-def policy_library(name_or_path: str | Path) -> str:
-    """Name of the shipped library with the gaits of a policy's stack, see `GaitLibrary.load`.
+def policy_library(
+    name_or_path: str | Path, library: GaitLibrary | str | Path | None = None
+) -> GaitLibrary:
+    """Gaits that a policy follows.
 
-    For a stack without a name, it follows from the entries of the observation.
+    Args:
+        name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
+        library: library with these gaits, its file, or the name of a shipped one. By default it is
+            the copy beside the policy: `library.npz` in a run folder, `mine.npz` for `mine.zip`;
+            without one it is the shipped library of the stack, which for a stack without a name
+            follows from the entries of the observation.
 
     Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: the file is truncated, altered, or not a policy.
+        AssetError: there is no such policy or library.
+        FileDamagedError: a file is truncated, altered, or of another kind.
+        ConfigurationError: the policy follows other gaits than those of the library.
     """
     card = read_card(name_or_path)
+    if library is None:
+        copy = _library_beside(find_policy(name_or_path))
+        library = copy if copy.is_file() else _shipped_library(card)
+    if not isinstance(library, GaitLibrary):
+        # a shipped one is read once
+        read = shipped_library if library in SHIPPED else GaitLibrary.load
+        library = read(str(library))
+    check_policy_library(name_or_path, card, library)
+    return library
+
+
+def policy_environment(
+    name_or_path: str | Path, library: GaitLibrary | str | Path | None = None
+) -> dict[str, Any]:
+    """Environment of a policy, as arguments `stack` and `library` of `aslip.make_env`.
+
+    Arguments and errors are those of `policy_library`, errors also those of `policy_stack`.
+    """
+    stack = policy_stack(name_or_path)
+    return {"stack": stack, "library": policy_library(name_or_path, library)}
+
+
+def _library_beside(policy: Path) -> Path:
+    """File, which need not exist, of the copy of the gaits that a policy's file follows."""
+    if policy.name == POLICY_FILE:
+        return policy.with_name(LIBRARY_FILE)
+    return policy.with_suffix(".npz")
+
+
+def keep_library(policy: Path, library: GaitLibrary | None) -> None:
+    """Copy the gaits of a policy to where `policy_library` finds them; shipped ones need no copy.
+
+    Args:
+        policy: file of the policy, which need not exist yet.
+        library: the gaits; None for a policy that follows no library.
+    """
+    copy = _library_beside(policy)
+    if library is None or library.name in SHIPPED:
+        copy.unlink(missing_ok=True)
+    else:
+        library.save(copy)
+
+
+def _shipped_library(card: Mapping[str, Any]) -> str:
+    """Name of the shipped library of a policy's stack."""
     if card["stack"] == "single_reference":
         return "single_reference"
     return "directions" if "filtered_command" in card["observation"] else "gaits"
@@ -297,25 +356,26 @@ def _known_observations() -> list[list[str]]:
 
 
 def check_policy_library(
-    name_or_path: str | Path, card: Mapping[str, Any], sha256: Callable[[], str]
+    name_or_path: str | Path, card: Mapping[str, Any], library: GaitLibrary
 ) -> None:
-    """Check that a policy follows given gaits, if its file names any.
+    """Check that a policy follows the gaits of a library, if its file names any.
 
     Args:
         name_or_path: name or path, for the message.
         card: card of the policy, see `read_card`.
-        sha256: function that gives `GaitLibrary.sha256` of the gaits; called only if the card has
-            one, because it reads all arrays.
+        library: the gaits.
 
     Raises:
         ConfigurationError: it follows others.
     """
     followed = card["library_sha256"]
-    if followed is not None and followed != (given := sha256()):
+    if followed is not None and followed != (given := library.sha256):
+        trained = card["made_by"].get("settings", {}).get("library")
+        of, name = f", those of {trained!r}" if trained else "", library.name
         raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} follows other gaits: the SHA-256 of its"
-            f" library begins with {followed[:12]}, that of the given one with {given[:12]}; give"
-            " its own library (programs take --library FILE)"
+            f"the policy {str(name_or_path)!r} follows other gaits{of}: the SHA-256 of its library"
+            f" begins with {followed[:12]}, that of {repr(name) if name else 'the given one'} with"
+            f" {given[:12]}; give its own library (programs take --library FILE)"
         )
 
 

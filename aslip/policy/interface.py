@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     CommandFilter,
+    PhaseClock,
     ReferenceInjection,
     StandClock,
 )
@@ -35,40 +35,41 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
     Raises:
         ConfigurationError: no `AssembleObservation` makes an observation.
     """
-    libraries = _reference_libraries(env.transforms)
+    library = reference_library(env)
     return {
         "stack": stack_name(env),
         "observation": observation_keys(env),
         "baseline": baseline_key(env),
         "command_rates": command_rates(env),
         "stands": stands(env),
-        "library_sha256": libraries[0].sha256 if libraries else None,
+        "library_sha256": None if library is None else library.sha256,
     }
+
+
+def reference_library(env: StackEnv) -> GaitLibrary | None:
+    """Gaits that the reference of an environment is looked up in; None for another reference."""
+    return next((t.library for t in env.transforms if isinstance(t, ReferenceInjection)), None)
 
 
 def stack_name(env: StackEnv) -> str | None:
     """Name of the stack in `STACKS` with the same interface to a policy, or None.
 
-    Stacks differ if the entries of the observation, their order, the baseline of the action or the
-    motion of the reference differ. Rewards, ends of episodes, robots, sensors and other entries do
-    not matter.
+    Stacks differ if the entries of the observation, their order or the baseline of the action
+    differ, or if the reference is no gait library, or another one than the clock's. Which gaits it
+    has, rewards, ends of episodes, robots, sensors and other entries do not matter.
     """
     keys = _observation_keys(env.transforms), baseline_key(env)
-    if None in keys:
+    library = reference_library(env)
+    clocks = [t.library for t in env.transforms if isinstance(t, PhaseClock | StandClock)]
+    if None in keys or library is None or [c.sha256 for c in clocks] != [library.sha256]:
         return None
-    libraries = _reference_libraries(env.transforms)
-    turning = any(library.command_size == 3 for library in libraries)
+    turning = library.command_size == 3
     possible = ["straight", "paper", "single_reference"]
     if turning:
         possible = ["directions" if stands(env) else "walking"]
     for name in possible:
-        # walks in all directions may follow any library, whose hash is in the policy file
-        stack = STACKS[name](libraries[0] if turning else None)
-        named = [stack[part] for part in ("observation", "action", "reference")]
-        same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
-        theirs = _reference_libraries(named)
-        same_gaits = turning or [g.sha256 for g in libraries] == [g.sha256 for g in theirs]
-        if same_keys and same_gaits:
+        stack = STACKS[name](library if turning else None)
+        if keys == (_observation_keys([stack["observation"]]), _baseline_key(stack["action"])):
             return name
     return None
 
@@ -117,8 +118,8 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
             f"the policy {card['name']!r} does not fit the environment: {why}; it was trained on"
             f" the stack {card['stack']!r}, and the environment has the stack {stack_name(env)!r}"
         )
-    for library in _reference_libraries(env.transforms) if named else ():
-        check_policy_library(card["name"], card, partial(getattr, library, "sha256"))
+    if named and (library := reference_library(env)) is not None:
+        check_policy_library(card["name"], card, library)
 
 
 def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
@@ -143,11 +144,6 @@ def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
             f" environment at {rates}"
         )
     return ""
-
-
-def _reference_libraries(transforms: Sequence[Transform]) -> list[GaitLibrary]:
-    """Gaits that the reference is looked up in, at most one; none for another reference."""
-    return [t.library for t in transforms if isinstance(t, ReferenceInjection)][:1]
 
 
 def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:

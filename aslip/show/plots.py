@@ -14,6 +14,8 @@ from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
+from aslip.training.progress import read_progress
+from aslip.training.settings import SETTINGS_FILE, read_settings
 
 with extras():
     import matplotlib as mpl
@@ -115,32 +117,38 @@ def learning_curve(history: History, title: str) -> Figure:
     evaluated = ~np.isnan(history["eval_return"])
     for name, label in (("eval_return", "evaluation return"), ("eval_length", "evaluation length")):
         left.plot(steps[evaluated], np.asarray(history[name])[evaluated], "o-", ms=4, label=label)
-    left.set(xlabel="policy steps [million]", ylim=(0, 410), title=title)
+    left.set(xlabel="policy steps [million]", title=title)
     left.legend(fontsize=8, loc="lower right")
     for name, values in history.items():
         if name.startswith("term_"):
             right.plot(steps, values, label=name.removeprefix("term_"))
-    right.set(xlabel="policy steps [million]", ylim=(0, 1), title="mean reward terms in training")
+    right.set(xlabel="policy steps [million]", title="mean reward terms in training")
     right.legend(fontsize=8, loc="lower right")
     for axes in (left, right):
+        _from_zero(axes)
         axes.grid(alpha=0.3)
     return figure
 
 
-def compare_learning(groups: Mapping[str, Sequence[History]]) -> Figure:
+def compare_learning(folders: Mapping[str, Sequence[History | str | Path]]) -> Figure:
     """Figure of several trainings: mean over seeds, and range from the worst to the best seed.
 
     A curve ends where the shortest training of its group ends. Panels without any value, such as
-    evaluations that never took place, are left out.
+    evaluations that never took place, are left out. Returns of trainings with different rewards
+    are marked as such: they do not compare.
 
     Args:
-        groups: name of a group, such as a variant -> columns of `progress.csv` of each seed.
+        folders: name of a group, such as a variant -> run folder of each seed, or its columns of
+            `progress.csv`, of which only the names of the reward terms tell rewards apart.
 
     Raises:
         ConfigurationError: no training has any progress.
+        FileDamagedError: the settings of a run cannot be read.
     """
+    differ = len({_reward(run) for runs in folders.values() for run in runs} - {()}) > 1
     groups = {
-        name: [run for run in runs if len(run.get("step", ()))] for name, runs in groups.items()
+        name: [run for run in map(_history, runs) if len(run.get("step", ()))]
+        for name, runs in folders.items()
     }
     panels = [
         (column, label)
@@ -156,7 +164,10 @@ def compare_learning(groups: Mapping[str, Sequence[History]]) -> Figure:
         for i, (name, runs) in enumerate(groups.items()):
             if runs:
                 _draw_seeds(axes, name, f"C{i}", column, runs)
-        axes.set(xlabel="policy steps [million]", ylabel=label, xlim=(0, None), ylim=(0, 410))
+        if differ and "return" in column:
+            label += ", each of its own reward"
+        axes.set(xlabel="policy steps [million]", ylabel=label, xlim=(0, None))
+        _from_zero(axes)
         axes.grid(alpha=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=8)
@@ -168,6 +179,29 @@ _COMPARED = {
     "episode_return": "training return",
     "eval_return": "evaluation return",
 }
+
+
+def _from_zero(axes: Axes) -> None:
+    """Let the vertical axis contain zero and all that is drawn."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(0 if axes.dataLim.ymin >= 0 else low, max(high, 0))
+
+
+def _history(run: History | str | Path) -> History:
+    return read_progress(Path(run)) if isinstance(run, str | Path) else run
+
+
+def _reward(run: History | str | Path) -> tuple[str, ...]:
+    """Description of the reward of a training: its transforms, or the names of its terms.
+
+    Empty for a training that has not started.
+    """
+    if not isinstance(run, str | Path):
+        return tuple(sorted(name for name in run if name.startswith("term_")))
+    if not (Path(run) / SETTINGS_FILE).is_file():
+        return ()
+    described = read_settings(Path(run))[1].values()
+    return tuple(sorted(text for text in described if text.startswith(("Reward", "WeightedR"))))
 
 
 def _draw_seeds(axes: Axes, label: str, color: str, column: str, runs: Sequence[History]) -> None:

@@ -5,6 +5,7 @@
     tensorboard/        the same numbers for TensorBoard
     checkpoints/        the last three, each a ZIP archive without pickle
     policy.zip          policy of the newest checkpoint, for `aslip.load_policy`
+    library.npz         copy of the gaits that it follows, if they are no shipped ones
     films/              films of evaluations, with a logger that gets them
 
 Files are written under a temporary name and then renamed, except for the CSV, which grows by whole
@@ -60,6 +61,7 @@ _DAMAGED = ".damaged"
 _MAY_DIFFER = (
     "resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes", "num_collectors",
     "logger",
+    "library",  # a file may have moved; its gaits are among the transforms
 )  # fmt: skip
 
 

@@ -90,7 +90,9 @@ def check_types(config: Any) -> None:
             wanted = "a finite number"
         else:
             fits = isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
-            wanted = {int: "an integer", bool: "True or False"}.get(kind, f"a {kind.__name__}")
+            wanted = {int: "an integer", bool: "True or False"}.get(
+                kind, f"a {getattr(kind, '__name__', kind)}"
+            )
         if not fits:
             raise ConfigurationError(f"{name} must be {wanted}, got {value!r}")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -21,25 +21,39 @@ from aslip.policy import (
     check_policy_fits,
     forget,
     load_policy,
+    policy_environment,
     policy_library,
-    policy_stack,
 )
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps
 from aslip.walking.record import can_stand, next_start, reset_walks, take_step
 
 
-def command_library(policy: TensorDictModuleBase | str | Path) -> GaitLibrary:
-    """Shipped library over the commands of a policy: straight walks or all directions.
+def command_library(
+    policy: TensorDictModuleBase | str | Path, library: GaitLibrary | None = None
+) -> GaitLibrary:
+    """Library over the commands of a policy; see `aslip.policy.policy_library`.
 
-    A module counts as one that walks straight. The single-reference baseline, which scales one
-    motion, has the speeds of the paper's gaits.
+    A module without one counts as one that walks straight on the paper's gaits. The
+    single-reference baseline, which scales one motion, has the speeds of these, too.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
+        ConfigurationError: the policy follows other gaits.
     """
-    name = policy_library(policy) if isinstance(policy, str | Path) else "gaits"
-    return shipped_library("gaits" if name == "single_reference" else name)
+    if isinstance(policy, str | Path):
+        library = policy_library(policy, library)
+    if library is None or library.name == "single_reference":
+        return shipped_library("gaits")
+    return library
+
+
+def _library_of(env: StackEnv, policy: TensorDictModuleBase | str | Path) -> GaitLibrary:
+    """Library of an environment's clock; of its policy for one without a clock."""
+    try:
+        return library_of(env)
+    except ConfigurationError:
+        return command_library(policy)
 
 
 class Walker:
@@ -50,8 +64,8 @@ class Walker:
             `load_policy`.
         env: environment of one robot. By default the policy's stack, with falls as the
             only end of an episode.
-        library: gaits of the default environment, and the range of commands; by default the
-            shipped ones of the policy's stack, or those of `env`.
+        library: gaits of the default environment, and the range of commands; by default those that
+            `aslip.policy.policy_library` finds, or those of `env`.
         seed: seed of the default environment, by default its own.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
         stand: first stand command.
@@ -72,23 +86,18 @@ class Walker:
         speed: Command | Sequence[float] = 0.0,
         stand: bool = False,
     ) -> None:
-        self.library = command_library(policy) if library is None else library
         if env is None:
-            env = self._default_env(policy, seed)
-        elif library is None:
-            axes = env.observation_spec["command"].shape[-1]
-            self.library = self.library if self.library.command_size == axes else library_of(env)
+            named = isinstance(policy, str | Path)
+            made: dict[str, Any] = {"library": library}
+            made = policy_environment(policy, library) if named else made
+            env = make_env(seed=seed, drop=EPISODE_ENDS, num_threads=1, **made)
+            library = command_library(policy, made["library"])
+        self.library = _library_of(env, policy) if library is None else library
         if env.num_envs != 1:
             raise ConfigurationError(f"env of a Walker must have one robot, got {env.num_envs}")
         self.env = env
         self.policy = policy
         self.reset(speed, stand)
-
-    def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int | None) -> StackEnv:
-        named = isinstance(policy, str | Path)
-        stack = policy_stack(policy) if named else "straight"
-        gaits = None if stack == "single_reference" else self.library
-        return make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
 
     @property
     def policy(self) -> TensorDictModuleBase:

@@ -55,7 +55,6 @@ if __name__ == "__main__":
 
 from collections.abc import Sequence
 from contextlib import closing
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -63,12 +62,11 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-import aslip
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps, record_substeps
 from aslip.walking.metrics import drift, lifted_feet, mechanical_power, planting_time, turned
-from benchmarks.common import Policies, Report, Subject, benchmark, chosen_library, table
+from benchmarks.common import Policies, Report, Subject, benchmark, table
 from benchmarks.directions.random_commands import random_commands
 
 _TICK: Final = CASSIE.physics_timestep
@@ -95,8 +93,7 @@ COLUMNS = {
 @benchmark
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each policy."""
-    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen_library(config))
-    subjects = policies.load(in_stack)
+    subjects = policies.load(config.stack)
     chosen = commands(config, subjects[0].library)
     later = delays(subjects[0].library, chosen)
     walks = [*zip(seeds(config), chosen, later, strict=True)]

@@ -43,7 +43,7 @@ from tensordict.nn import TensorDictModuleBase
 import aslip
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary, tabulate
-from aslip.policy import policy_stack
+from aslip.policy import policy_environment
 from aslip.transforms.reference import reference_and_target
 
 _POLICIES = {"gaits": "straight", "directions": "directions"}
@@ -73,8 +73,7 @@ def _cost(config: Config) -> str:
             num_envs=config.num_envs,
             num_threads=1,
             seed=0,
-            stack=policy_stack(named),
-            library=library,
+            **policy_environment(named, library),
             timestep=_TIMESTEP,
         )
         with closing(env), torch.no_grad():

@@ -65,7 +65,6 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-import aslip
 from aslip.library import numbers
 from aslip.robot import CASSIE
 from aslip.show.ghost import Ghost
@@ -96,12 +95,11 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         policy: policy to draw; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    library = aslip.GaitLibrary.load()
-    (speed,) = library.check_command(config.speed)
     wanted = np.arange(config.frames) / config.frames
     subject = Subject.load(policy or config.policy, make_env)
+    (speed,) = subject.library.check_command(config.speed)
     with closing(subject.walking_env(Common(), 1, num_threads=1)) as env:
-        walker = Walker(subject.policy, env, library=library, speed=speed)
+        walker = Walker(subject.policy, env, library=subject.library, speed=speed)
         stride = simulated_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)

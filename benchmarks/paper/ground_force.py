@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from benchmarks.flags import Common
+from benchmarks.flags import WithLibrary
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(WithLibrary):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
@@ -53,7 +53,7 @@ from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
 from aslip.library.footholds import touchdown_phases
 from aslip.robot import CASSIE
-from aslip.rom import Gait
+from aslip.rom import Gait, Motion
 from aslip.walking import Walker
 from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
@@ -63,7 +63,7 @@ from benchmarks.common import (
     Report,
     Subject,
     benchmark,
-    nearest_gait,
+    nearest_motion,
 )
 
 VERTICAL: Final = (-4, -1)
@@ -88,23 +88,25 @@ class Curve:
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each method, policy and speed.
 
+    The model is that of the first method's gaits.
+
     Raises:
         ConfigurationError: a policy follows gaits in all directions.
     """
     methods = policies.methods()
     check_straight([subject for subjects in methods.values() for subject in subjects])
-    library = GaitLibrary.load()
+    library = next(iter(methods.values()))[0].library
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
     runs = [(name, one, v) for name, ones in methods.items() for one in ones for v in config.speeds]
     for method, subject, speed in tqdm(runs, unit="walk", leave=False):
-        force = vertical_forces(config, library, subject, speed)
+        force = vertical_forces(config, subject, speed)
         rows.append({"method": method, "policy": subject.name, "speed": speed, **profile(force)})
         if force is not None and "failed" not in rows[-1]:
             curves.setdefault((method, speed), []).append(curve(force[:, 0]))
     for speed in config.speeds:
-        gait = nearest_gait(library, speed)
-        rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
+        model = model_profile(nearest_motion(library, speed))
+        rows.append({"method": "model", "policy": "", "speed": speed, **model})
     return Report(rows, table(rows), picture(config, curves, library))
 
 
@@ -136,14 +138,12 @@ def profile(force: np.ndarray | None) -> dict[str, Any]:
     return asdict(ForceProfile(*np.mean([list(asdict(foot).values()) for foot in feet], axis=0)))
 
 
-def vertical_forces(
-    config: Config, library: GaitLibrary, subject: Subject, speed: float
-) -> np.ndarray | None:
+def vertical_forces(config: Config, subject: Subject, speed: float) -> np.ndarray | None:
     """(m, 2) vertical forces at 2 kHz of the settled walk [N]; None after a fall."""
     torch.set_num_threads(1)
     parts = []
     with closing(subject.walking_env(config, 1, num_threads=1)) as env:
-        walker = Walker(subject.policy, env, library=library, speed=speed)
+        walker = Walker(subject.policy, env, library=subject.library, speed=speed)
         env.base_env.watch(0)
         while walker.time < config.settle + config.walk - CASSIE.policy_period / 2:
             walker.step()
@@ -161,16 +161,19 @@ def curve(force: np.ndarray) -> Curve:
     return Curve(*mean_over_strides(force, starts, _SAMPLES))
 
 
-def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
+def model_force(motion: Motion, samples: int = 4000) -> np.ndarray:
     """(samples,) force of the model's left leg along z over a stride from its touchdown [N]."""
-    time = np.arange(samples) / samples * gait.stride
-    axial = np.interp(time, gait.time, gait.leg_force[:, 0])
-    leg = gait.body.position - gait.feet.position[:, 0]
-    share = np.interp(time, gait.time, leg[:, 2] / np.linalg.norm(leg, axis=1))
-    return np.roll(axial * share, -round(touchdown_phases(gait)[0] * samples))
+    phase = np.arange(samples) / samples
+    if isinstance(motion, Gait):
+        time, leg = phase * motion.stride, motion.body.position - motion.feet.position[:, 0]
+        axial = np.interp(time, motion.time, motion.leg_force[:, 0])
+        force = axial * np.interp(time, motion.time, leg[:, 2] / np.linalg.norm(leg, axis=1))
+    else:
+        force = motion.sample(phase).ground_force[:, 0, 2]
+    return np.roll(force, -round(touchdown_phases(motion)[0] * samples))
 
 
-def model_profile(gait: Gait) -> dict[str, float]:
+def model_profile(gait: Motion) -> dict[str, float]:
     """`ForceProfile` of the model; it has no impact, and its force may be zero in mid-stance."""
     force = model_force(gait)
     period = gait.stride / len(force)
@@ -231,8 +234,7 @@ def picture(
     axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
     share = np.arange(_SAMPLES) / _SAMPLES
     for axis, speed in zip(axes, config.speeds, strict=True):
-        gait = nearest_gait(library, speed)
-        model = model_force(gait)
+        model = model_force(nearest_motion(library, speed))
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
         for k, method in enumerate(dict.fromkeys(method for method, _ in curves)):
             color = f"C{k}"

@@ -56,7 +56,7 @@ from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking.metrics.force import SMOOTHING
-from benchmarks.common import nearest_gait, table, write_results
+from benchmarks.common import nearest_motion, table, write_results
 from benchmarks.paper.ground_force import VERTICAL
 
 COLUMNS = {
@@ -80,7 +80,7 @@ def main(config: Config) -> list[dict[str, Any]]:
 
 def correlation(config: Config, library: GaitLibrary, stack: str, speed: float) -> float:
     """Correlation of vertical foot forces, robot and model, over all starts and both feet."""
-    gait = nearest_gait(library, speed)
+    gait = nearest_motion(library, speed)
     robot, model = [], []
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
     with closing(env):

@@ -3,8 +3,9 @@
     python -m benchmarks.paper.velocity_tracking                  # the policy `straight`
     python -m benchmarks.paper.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
 
-The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s. A map compares mean and commanded
-speed. A table lists the responses to steps of 1 m/s.
+The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s; for a library of slower gaits it is
+scaled to their range. A map compares mean and commanded speed. A table lists the responses to
+steps of 1 m/s.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ if __name__ == "__main__":
 
 import itertools
 import math
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -45,6 +47,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.base.interval import Interval
+from aslip.library import PAPER_SPEEDS, GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, tracks_command
@@ -122,7 +125,8 @@ STEP_COLUMNS = {
 def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
     """Measure and draw; the result is the numbers."""
     subjects = policies.load()
-    command = np.repeat(SCHEDULE, round(config.hold / CASSIE.policy_period))[:, None]
+    speeds = reachable(subjects[0].library, SCHEDULE)
+    command = np.repeat(speeds, round(config.hold / CASSIE.policy_period))[:, None]
     walks = [record_subject(config, subject, command) for subject in subjects]
     numbers = {
         "schedule": schedule_rows(config, walks),
@@ -133,6 +137,13 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
     columns = {"schedule": SCHEDULE_COLUMNS, "map": MAP_COLUMNS, "steps": STEP_COLUMNS}
     text = "\n\n".join(table(of, numbers[name]) for name, of in columns.items())
     return Report(numbers, text, picture(walks[0], numbers["map"], len(walks)), numbers)
+
+
+def reachable(library: GaitLibrary, speeds: Sequence[Any]) -> np.ndarray:
+    """Speeds of the paper, 0 to 2 m/s, scaled to the range of a library of slower gaits."""
+    fastest = PAPER_SPEEDS[-1]
+    low, high = max(0.0, library.speeds[0]), min(fastest, library.speeds[-1])
+    return low + np.array(speeds) * (high - low) / fastest
 
 
 # --------------------------------------------------------------------- schedule
@@ -224,10 +235,11 @@ def step_rows(
 ) -> list[dict[str, Any]]:
     """Responses to sudden changes of command, a row for each change."""
     hold = round(config.hold / CASSIE.policy_period)
-    command = np.repeat(np.array(STEPS).T, hold, axis=0)
+    steps = reachable(subjects[0].library, STEPS)
+    command = np.repeat(steps.T, hold, axis=0)
     walks = [record_subject(config, subject, command) for subject in subjects]
     rows = []
-    for i, (old, new) in enumerate(STEPS):
+    for i, (old, new) in enumerate(steps.tolist()):
         responses = [walk_step_response(walk, i, hold, footholds) for walk in walks]
         rows.append(
             {

@@ -60,7 +60,6 @@ from functools import partial
 
 from aslip.base.tables import markdown
 from aslip.control import Controller
-from aslip.library import GaitLibrary
 from aslip.network.twin import TwinRobot, drake_engine, mujoco_engine, serve_lockstep
 from aslip.network.wire import (
     LOOPBACK,
@@ -103,14 +102,13 @@ class EngineWalk:
 
 def main(config: Config) -> None:
     """Print the mean speeds of all walks, and the differences between the engines."""
-    library = GaitLibrary.load()
     subjects = [(policy, engine) for policy in config.policy for engine in config.engine]
     walks: list[EngineWalk] = []
     rows: list[list[str]] = []
     for speed in config.speeds:
         row = [f"{speed:.1f}"]
         for policy, engine in subjects:
-            walks.append(walk(Controller(policy, library), policy, engine, speed, config))
+            walks.append(walk(Controller(policy), policy, engine, speed, config))
             row.append(str(walks[-1]))
         rows.append(row)
         print(" | ".join(row), flush=True)

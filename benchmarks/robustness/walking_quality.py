@@ -73,7 +73,7 @@ from benchmarks.common import (
     Report,
     Subject,
     benchmark,
-    nearest_gait,
+    nearest_motion,
     shortest_swing,
     table,
 )
@@ -144,7 +144,7 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
         found.setdefault((name, speed), []).append(measure(config, footholds, subject, speed))
     rows = [summary(name, speed, seeds) for (name, speed), seeds in found.items()]
     # libraries over three commands keep tables, not gaits with leg forces
-    modelled = library.command_size == 1
+    modelled = library.command_size == 1 and bool(library.motions)
     figure = picture(
         rows, model_rows(library, gaits_between(library, config.speeds)) if modelled else []
     )
@@ -209,10 +209,10 @@ def summary(method: str, speed: float, seeds: Sequence[dict[str, float] | None])
 
 
 def model_rows(library: GaitLibrary, speeds: Sequence[float]) -> list[dict[str, Any]]:
-    """Rows of the spring-mass model: time with forces below 20 N, and largest force."""
+    """Rows of the model: time with forces below 20 N, and largest force."""
     rows = []
     for speed in speeds:
-        left = model_force(nearest_gait(library, speed))
+        left = model_force(nearest_motion(library, speed))
         # gaits are mirror symmetric: the right leg repeats the left half a stride later
         force = np.stack([left, np.roll(left, len(left) // 2)], axis=1)
         values = {
@@ -226,8 +226,7 @@ def model_rows(library: GaitLibrary, speeds: Sequence[float]) -> list[dict[str, 
 
 def gaits_between(library: GaitLibrary, speeds: Sequence[float]) -> list[float]:
     """Speeds of the library's gaits from the lowest to the highest of speeds [m/s]."""
-    gaits = [gait.speed for gait in library.gaits]
-    return [speed for speed in gaits if min(speeds) <= speed <= max(speeds)]
+    return [speed for speed in library.speeds.tolist() if min(speeds) <= speed <= max(speeds)]
 
 
 # --------------------------------------------------------------------------- report

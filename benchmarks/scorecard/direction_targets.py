@@ -71,13 +71,14 @@ if __name__ == "__main__":
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
+from aslip.library import GaitLibrary
 from aslip.show.plots import save_figure
 from aslip.transforms.standing import required_transitions
 from benchmarks.common import (
@@ -125,15 +126,14 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each target.
 
     Raises:
-        ConfigurationError: a setting is invalid, two policies have the same name, the library has
-            no stop and start or no gaits up to 2 m/s, or there is a record and a policy or an
-            environment of the caller, which it cannot name.
+        ConfigurationError: a setting is invalid, two policies have the same name or other gaits,
+            the library has no stop and start or none up to 2 m/s, or there is a record and a policy
+            or an environment of the caller, which it cannot name.
         FileDamagedError: the file given as record holds no values of policies.
     """
     given = [*config.policy] if policies.given is None else [policies.given]
     settings = {one: benchmarks_of(config, one) for one in given}
-    check_library(config)
-    record = open_record(config)
+    record = open_record(config, library_of_all(config, given))
     make_env = policies.make_env
     record.measure(
         {"policy": given}, lambda _, one: measure(settings[one], one, make_env), make_env
@@ -160,7 +160,9 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
     """
     out = config.out / describe(policy)["name"]
     common: dict[str, Any] = {"out": out, "policy": (policy_name(policy),), "truth": config.truth}
-    common |= {"library": config.library, "seed": config.seed + (describe(policy)["seed"] or 0)}
+    # benchmarks of straight walks take a module for one that walks straight by default
+    library = config.library if isinstance(policy, str | Path) else config.library or "directions"
+    common |= {"library": library, "seed": config.seed + (describe(policy)["seed"] or 0)}
     straight = {"speeds": (1.0,) * _STOPS, "walks": _STOPS, "duration": 0.5, "out": out / "stops"}
     return {
         "tracking": tracking.Config(**common, commands=config.commands),
@@ -177,20 +179,21 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
     }
 
 
-def check_library(config: Config) -> None:
-    """Check of the library what would fail after minutes otherwise; see `main`."""
-    library = chosen_library(config)
-    if library is not None:
-        required_transitions(library)
-        for speed in SPEEDS:
-            library.check_command((speed, 0.0, 0.0))
+def library_of_all(config: Config, policies: Sequence[Policy]) -> GaitLibrary:
+    """Library of all policies, with checks of what would fail after minutes; see `main`."""
+    library, *others = [cast("GaitLibrary", chosen_library(config, one)) for one in policies]
+    if {other.sha256 for other in others} - {library.sha256}:
+        raise ConfigurationError(f"the policies must follow the same gaits: {[*config.policy]}")
+    required_transitions(library)
+    for speed in SPEEDS:
+        library.check_command((speed, 0.0, 0.0))
+    return library
 
 
-def open_record(config: Config) -> ValueRecord:
+def open_record(config: Config, library: GaitLibrary) -> ValueRecord:
     """Record of values that were measured with given settings; see `ValueRecord`."""
     settings = {k: v for k, v in asdict(config).items() if k not in _NOT_RECORDED}
-    library = chosen_library(config)
-    settings["library_sha256"] = None if library is None else library.sha256
+    settings["library_sha256"] = library.sha256
     return ValueRecord(config.record, settings, TARGETS)
 
 

@@ -53,8 +53,7 @@ controller = ExportedController(sys.argv[1])
 import torch
 torch.set_num_threads(1)
 from aslip.control import Controller
-from aslip.library import GaitLibrary
-controller = Controller(sys.argv[2], GaitLibrary.load())
+controller = Controller(sys.argv[2])
 """,
 }
 _RUN = """

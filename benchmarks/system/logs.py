@@ -44,7 +44,6 @@ import torch
 from tqdm import trange
 
 from aslip.base.tables import markdown
-from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder
 from aslip.training.run import write_text
 from aslip.walking import Walker
@@ -73,12 +72,11 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
 def make_walker(subject: Subject, path: Path | None, rate: JointRate = "policy") -> Walker:
     """Walker of a subject, with a recorder if a path is given."""
-    library = GaitLibrary.load()
     env = subject.walking_env(Common(), 1, num_threads=1)
     if path is not None:
         policy = subject.name if subject.stored else None
         env.append_transform(Recorder(path, joint_rate=rate, policy=policy))
-    return Walker(subject.policy, env, library=library, speed=0.5)
+    return Walker(subject.policy, env, library=subject.library, speed=0.5)
 
 
 def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:

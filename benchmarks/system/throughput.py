@@ -237,7 +237,7 @@ def update_table(config: Config) -> str:
     presets = {n: p for n, p in ppo_aslip.PRESETS.items() if p.backend == "batch"}
     for name, preset in presets.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
-        spans = time_iterations(name, training, config.rounds)
+        spans = time_iterations(training, config.rounds)
         # the first batch only initialises the normaliser
         collecting = [delivered - asked for asked, delivered in spans[2:]]
         learning = [after[0] - before[1] for before, after in itertools.pairwise(spans[1:])]
@@ -248,13 +248,10 @@ def update_table(config: Config) -> str:
     return markdown(header, rows, ["---", *["---:"] * 4])
 
 
-def time_iterations(
-    preset: str, config: ppo_aslip.Config, number: int
-) -> list[tuple[float, float]]:
+def time_iterations(config: ppo_aslip.Config, number: int) -> list[tuple[float, float]]:
     """Instants at which a training requested and got each of its first batches [s].
 
     Args:
-        preset: name of the preset.
         config: its settings.
         number: number of iterations timed, after one of warm-up.
     """
@@ -271,7 +268,7 @@ def time_iterations(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
-        ppo_aslip.main(short, **environments(preset), make_collector=make_collector)
+        ppo_aslip.main(short, **environments(short), make_collector=make_collector)
     return made[0].spans
 
 

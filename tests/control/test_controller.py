@@ -152,9 +152,10 @@ def test_a_wrong_command_or_phase_is_named(controller: Controller, name: str) ->
 def test_shipped_policies_walk_on_the_gaits_of_their_training_only() -> None:
     for policy in ("straight", "robust", "single_reference"):
         own = policy_library(policy)
-        assert read_card(policy)["library_sha256"] == gaits(own).sha256
-        other = gaits("gaits" if own == "single_reference" else "single_reference")
-        with pytest.raises(ConfigurationError, match=f"{policy!r} follows other gaits"):
+        assert read_card(policy)["library_sha256"] == own.sha256
+        other = gaits("gaits" if own.name == "single_reference" else "single_reference")
+        hashes = rf"{own.sha256[:12]}.*{other.name!r} with {other.sha256[:12]}"
+        with pytest.raises(ConfigurationError, match=f"{policy!r} follows other gaits.*{hashes}"):
             Controller(policy, other)
 
 

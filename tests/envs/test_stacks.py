@@ -31,6 +31,7 @@ from aslip.transforms import (
     LowReward,
     ObservationNoise,
     PhaseClock,
+    ReferenceInjection,
     RewardTerm,
     SeededTransform,
     SpeedCommand,
@@ -274,7 +275,9 @@ def test_stack_name_finds_the_stack_with_the_same_interface(
     assert stack_name(make(drop=["feedforward"], replace={"action": ActionDelta()})) == "paper"
     blind = AssembleObservation([("estimate", "height")])
     assert stack_name(make(replace={"observation": blind})) is None
-    assert stack_name(make(library=pendulum_library(library.gaits))) is None
+    pendulum = pendulum_library(library.gaits)
+    assert stack_name(make(library=pendulum)) == "straight"
+    assert stack_name(make(replace={"reference": ReferenceInjection(pendulum)})) is None
 
 
 class WithFunctions(Fall):

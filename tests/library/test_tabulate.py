@@ -1,8 +1,9 @@
 """Tables of motions on a grid of commands, user-defined motions among them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,16 +53,11 @@ def test_heavier_model_needs_more_torque() -> None:
     heavy = SlipParameters(mass=33.3)
     settings: list[tuple[SlipParameters | None, Objective]]
     settings = [(None, "mean"), (heavy, "mean"), (heavy, "integral")]
-    libraries = [
-        GaitLibrary.from_motions(
-            optimize_gaits((1.0,), parameters=p, objective=objective), samples=16
-        )
-        for p, objective in settings
-    ]
-    one, two, three = (library.table for library in libraries)
+    gaits = [optimize_gaits((1.0,), parameters=p, objective=objective) for p, objective in settings]
+    one, two, three = (tabulate(ones, samples=16) for ones in gaits)
     assert np.abs(two.motor_torque).max() > 1.05 * np.abs(one.motor_torque).max()
     assert three.strides[0] < two.strides[0]
-    assert libraries[1].gaits[0].parameters == heavy
+    assert gaits[1][0].parameters == heavy
 
 
 def test_user_defined_motion_is_tabulated_and_looked_up(
@@ -127,11 +123,47 @@ def test_lookup_between_commands_is_multilinear(grid: GaitLibrary) -> None:
 
 
 def test_library_of_one_motion_clamps_to_its_command() -> None:
-    library = GaitLibrary.from_motions([PendulumWalk(speed=0.5)], samples=16)
+    with pytest.warns(UserWarning, match=r"as that of the only motion, \[0.5\]"):
+        library = GaitLibrary.from_motions([PendulumWalk(speed=0.5)], samples=16)
     phase = torch.rand(5, 1)
     slow, fast = (library.lookup(phase, torch.full((5, 1), v)) for v in (0.0, 1.0))
     assert torch.equal(slow.motor_position, fast.motor_position)
     assert float(library.stride(torch.zeros(1, 1))) == pytest.approx(0.84)
+
+
+class Mistaken(PendulumWalk):
+    """Walk some of whose entries are wrong."""
+
+    wrong: Callable[[MotionSample], dict[str, Any]]
+
+    def sample(self, phase: np.ndarray) -> MotionSample:
+        sample = super().sample(phase)
+        return replace(sample, **type(self).wrong(sample))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (
+            lambda s: {"body": Track(s.body.position, 0 * s.body.velocity)},
+            r"2 of 2 motions: body.velocity is not the rate of the position or angle, at command"
+            r" \[0.3\] by 0.1[0-9] of 0.1",
+        ),
+        # rates by phase instead of time
+        (lambda s: {"feet": Track(s.feet.position, 0.84 * s.feet.velocity)}, "feet.velocity is"),
+        (lambda s: {"heading": Angle(s.heading.angle, s.heading.rate + 0.1)}, "heading.rate is"),
+        (lambda s: {"ground_force": 0 * s.ground_force}, "carry the robot's 327 N, at .* but 0 N"),
+        (lambda s: {"ground_force": s.ground_force[:, ::-1]}, "feet move while they carry load"),
+    ],
+)
+def test_wrong_motions_are_named(
+    wrong: Callable[[MotionSample], dict[str, Any]], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Mistaken, "wrong", staticmethod(wrong), raising=False)
+    with pytest.warns(UserWarning, match=message) as warned:
+        GaitLibrary.from_motions([Mistaken(speed=0.3), Mistaken(speed=0.5)], samples=4)
+    assert len(warned) == 1
+    assert warned[0].filename == __file__
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,14 @@ from tensordict import TensorDict, TensorDictBase
 
 import aslip
 from aslip.envs import Stack, default_stack, evaluation_stack
-from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
+from aslip.errors import (
+    AslipError,
+    AssetError,
+    ConfigurationError,
+    FileDamagedError,
+    UnknownNameError,
+)
+from aslip.training.settings import read_settings
 from aslip.transforms import ActionDelta, AssembleObservation
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import WalkResult
@@ -195,6 +202,69 @@ def test_results_of_another_budget_are_refused(finished: Path) -> None:
 def test_an_unknown_variant_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="no_delta"):
         ablate.main(tiny(tmp_path, "no_dleta"))
+
+
+_OWN = '''
+from aslip.envs import insert_before
+from aslip.transforms import WeightedReward
+
+def heavy(stack):
+    """Foot placement only.
+
+    More.
+    """
+    weights = {**stack["reward"].weights, "foot_pos": 3.0}
+    return {**stack, "reward": WeightedReward(weights)}
+
+def quiet(stack):
+    del stack["noise"]
+
+def _helper(stack):
+    raise AssertionError
+'''
+
+
+def test_own_variants_of_a_file_are_judged_on_the_same_task(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(_OWN)
+    config = tiny(tmp_path / "runs", "default", str(file))
+    assert ablate.main(replace(config, list=True)) == {}
+    assert f"\n{'heavy':24s}Foot placement only.\n" in capsys.readouterr().out
+    rewards: list[Stack] = []
+    judge = ablate_straight.evaluation_stack
+
+    def judged(*args: Any) -> Stack:
+        rewards.append(judge(*args))
+        return rewards[-1]
+
+    monkeypatch.setattr(ablate_straight, "evaluation_stack", judged)
+    assert [*ablate.main(config)] == ["default", "heavy", "quiet"]
+    assert [stack["reward"].weights for stack in rewards] == [dict(PAPER_WEIGHTS)] * 3
+    assert ["noise" in stack for stack in rewards] == [True, True, False]
+    trained = read_settings(tmp_path / "runs" / "heavy-0")[1]
+    assert "'foot_pos': '3.0'" in trained["reward"]
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("default = lambda stack: stack\n\ndef default(stack): ...\n", r"\['default'\], which are"),
+        ("x = 1\n", "defines no public function"),
+        ("def mistaken(stack): del stack['start']\n", "no transform 'start'"),
+    ],
+)
+def test_files_without_variants_and_broken_stacks_are_refused_before_any_training(
+    tmp_path: Path, code: str, message: str
+) -> None:
+    file = tmp_path / "own.py"
+    file.write_text(code)
+    with pytest.raises(AslipError, match=message):
+        ablate.main(tiny(tmp_path / "runs", "default", str(file)))
+    assert not list(tmp_path.glob("runs/*"))
+    with pytest.raises(AssetError, match=r"no file .*none\.py"):
+        ablate.main(tiny(tmp_path / "runs", "none.py"))
 
 
 def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:

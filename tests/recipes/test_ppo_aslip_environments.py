@@ -42,7 +42,7 @@ def test_presets_set_their_environments() -> None:
     """Only training has staggered ends; the preset sets the interval of commands."""
     found = {}
     for name in PRESETS:
-        made = environments(name)
+        made = environments(PRESETS[name])
         make_env = made.get("make_env", aslip.make_env)
         train = made.get("make_train_env", partial(make_training_env, make_env))
         envs = [make(num_envs=2, seed=0, num_threads=1) for make in (train, make_env)]

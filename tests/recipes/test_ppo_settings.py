@@ -21,6 +21,7 @@ WRONG: dict[type, tuple[object, ...]] = {
     float: (True, math.nan, -math.inf, -1e-12, 10**400),
     str: (3, True, "ASLIP"),
     Path: (3, True),
+    type(None): (3, True),  # or a text
 }
 """Values that settings of a type refuse besides those of `JUNK` that have another type."""
 
@@ -29,7 +30,8 @@ WRONG: dict[type, tuple[object, ...]] = {
 def test_error_names_setting_of_wrong_type(field: Any) -> None:
     kind = type(getattr(ppo_aslip.Config(), field.name))
     kind = Path if issubclass(kind, Path) else kind
-    for value in [*(junk for junk in JUNK if type(junk) is not kind), *WRONG[kind]]:
+    right = {kind, str} if kind is type(None) else {kind}
+    for value in [*(junk for junk in JUNK if type(junk) not in right), *WRONG[kind]]:
         with pytest.raises(ConfigurationError, match=field.name):
             replace(TINY, **{field.name: value})
 

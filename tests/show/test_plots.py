@@ -1,10 +1,14 @@
 """Figures of trainings show what their data says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
 from aslip.show.plots import compare_learning
+from aslip.training.progress import ProgressLog
+from aslip.training.settings import SETTINGS_FILE, settings_text
 
 
 def run(length: list[float], evaluation: list[float]) -> dict[str, list[float]]:
@@ -43,3 +47,27 @@ def test_panels_without_values_are_left_out() -> None:
     assert len(figure.axes) == 2
     with pytest.raises(ConfigurationError, match=r"mine.*no progress"):
         compare_learning({"mine": [{}]})
+
+
+def test_axes_fit_the_curves_and_returns_of_different_rewards_are_marked(tmp_path: Path) -> None:
+    folders = {}
+    for name, weight in (("mine", 1.0), ("same", 1.0), ("other", 3.0)):
+        folders[name] = tmp_path / name
+        log = ProgressLog(folders[name])
+        folders[name].mkdir()
+        numbers = {"episode_length": 40.0, "episode_return": -500 * weight, "eval_return": 0.0}
+        log.write(1, numbers)
+        log.write(2, numbers)
+        log.close()
+        transforms = {"reward": f"WeightedReward(weights={weight})", "noise": f"{name}"}
+        (folders[name] / SETTINGS_FILE).write_text(settings_text({}, transforms, ""))
+    figure = compare_learning({"mine": [folders["mine"]], "same": [folders["same"]]})
+    lengths, returns, _ = figure.axes
+    assert returns.get_ylabel() == "training return"
+    assert lengths.get_ylim()[0] == 0
+    assert 40 < lengths.get_ylim()[1] < 50
+    figure = compare_learning({name: [folder] for name, folder in folders.items()})
+    lengths, returns, _ = figure.axes
+    assert lengths.get_ylabel() == "training episode length"
+    assert returns.get_ylabel() == "training return, each of its own reward"
+    assert returns.get_ylim()[0] < -1500

@@ -123,7 +123,7 @@ def test_the_recipe_saves_the_name_of_the_stack(tmp_path: Path) -> None:
         PRESETS["single_reference"], out=tmp_path, num_envs=4, samples=32, total_steps=32,
         minibatch=16, eval_steps=5,
     )  # fmt: skip
-    ppo_aslip.main(config, **environments(config.preset))
+    ppo_aslip.main(config, **environments(config))
     assert policy_stack(tmp_path) == "single_reference"
     walker = Walker(tmp_path, speed=1.0, seed=0)
     assert walker.step()["observation"].shape == (1, 49)

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aslip.base.assets import asset_path, user_path
 from aslip.control.base import ControllerBase
 from aslip.control.estimates import standing_estimate
 from aslip.errors import AslipError, ConfigurationError
@@ -33,8 +32,8 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
 
     Args:
         policy: name of a shipped policy, policy file, folder of a training run, or exported policy.
-        library: gait library of the policy: file, or name of a shipped one; by default that of the
-            policy's stack. An exported policy contains its library.
+        library: gait library of the policy: file, or name of a shipped one; by default the one that
+            `aslip.policy.policy_library` finds. An exported policy contains its library.
 
     Raises:
         AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
@@ -48,7 +47,7 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
     except Exception as error:  # networks fail in many ways
         reason = str(error) if isinstance(error, AslipError) else f"{type(error).__name__}: {error}"
         raise ConfigurationError(
-            f"the policy {str(policy)!r} and the library {str(library or 'of its stack')!r} do not"
+            f"the policy {str(policy)!r} and the library {str(library or 'of its gaits')!r} do not"
             f" fit: {reason}"
         ) from error
     return loaded
@@ -89,14 +88,12 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     import torch
 
     from aslip.control.controller import Controller
-    from aslip.library import GaitLibrary
-    from aslip.library.library import SHIPPED
+    from aslip.library.library import library_file
     from aslip.policy import find_policy, policy_library
 
     # one robot: more threads only cost time
     torch.set_num_threads(1)
     path = find_policy(policy)
-    library = library or policy_library(path)
-    file = asset_path(f"{library}.npz") if library in SHIPPED else user_path(library)
-    controller = Controller(path, GaitLibrary.load(library))
+    controller = Controller(path, policy_library(path, library))
+    file = library_file(controller.library.name)
     return Loaded(controller, {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()})

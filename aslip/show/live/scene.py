@@ -13,7 +13,7 @@ import viser
 from tensordict import TensorDictBase
 
 from aslip.library import GaitLibrary
-from aslip.library.footholds import Footholds, yaw_rotation
+from aslip.library.footholds import footholds_of, yaw_rotation
 from aslip.robot import SIDES, Side
 from aslip.show.ghost import (
     BODY_COLOR,
@@ -38,11 +38,11 @@ class RomView:
 
     Args:
         scene: scene to draw in, with the frame `/world` and the pelvis above its origin.
-        library: gaits for footholds.
+        library: gaits for footholds, which are not drawn of feet that do not swing once a stride.
     """
 
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
-        self._footholds = Footholds(library)
+        self._footholds = footholds_of(library)
         self._beside = BESIDE if library.command_size == 1 else BESIDE_STEPS
         self._root = scene.add_frame("/world/rom", show_axes=False)
         self._offset, self._turn = np.zeros(3), np.eye(3)
@@ -88,8 +88,8 @@ class RomView:
         for side, other, foot, stance in legs:
             self._legs[side].update(body, foot - origin, stance)
             disc = self._discs[side]
-            disc.visible = not stance
-            if not stance:
+            disc.visible = not stance and self._footholds is not None
+            if self._footholds is not None and not stance:
                 stance_foot = truth[f"{other}_foot_position"][0].double().numpy()
                 command = cast("torch.Tensor", td.get("filtered_command", td["command"]))[0]
                 phase = float(cast("torch.Tensor", td["phase"]))

@@ -49,5 +49,5 @@ def test_the_table_names_a_fall_and_a_robot_that_stands(
 
 
 @pytest.mark.usefixtures("made", "falling")
-def test_a_fall_closes_the_environment(library: GaitLibrary) -> None:
-    assert ground_force.vertical_forces(Config(), library, Subject.load("straight"), 1.0) is None
+def test_a_fall_closes_the_environment() -> None:
+    assert ground_force.vertical_forces(Config(), Subject.load("straight"), 1.0) is None

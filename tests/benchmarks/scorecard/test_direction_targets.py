@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.base.assets import asset_path
 from aslip.base.interval import Interval
-from aslip.envs import make_env
+from aslip.envs import make_env, shipped_library
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.policy import read_card
 from benchmarks.directions import command_changes, figure_of_eight, stops, tracking
 from benchmarks.robustness import pushes, walking_quality
 from benchmarks.robustness.parameters import SWEEPS
-from benchmarks.scorecard import direction_values
+from benchmarks.scorecard import direction_targets, direction_values
 from benchmarks.scorecard.direction_list import TARGETS
 from benchmarks.scorecard.direction_targets import Config, benchmarks_of, cell, main
 from benchmarks.scorecard.direction_values import (
@@ -29,6 +28,7 @@ from benchmarks.scorecard.direction_values import (
     training_values,
 )
 from tests.helpers import limp
+from tests.library.standing import standing_library
 
 
 def plain(values: Mapping[str, float | Interval]) -> dict[str, float]:
@@ -132,6 +132,9 @@ def fake_benchmarks(patch: pytest.MonkeyPatch) -> list[Any]:
         patch.setattr(module, "main", lambda config, *_, found=found: asked.append(config) or found)
     feet = {"feet, straight": 2.0, "feet, turns": 3.0, "no footsteps": 0.0}
     patch.setattr(direction_values, "foot_values", lambda *_: feet)
+    # policies that walk straight stand for others
+    gaits = shipped_library("directions")
+    patch.setattr(direction_targets, "chosen_library", lambda *_: gaits)
     return asked
 
 
@@ -181,10 +184,7 @@ def test_a_record_keeps_values_and_is_of_one_library(
     assert kept["intervals"]["velocity"] == pytest.approx([0.016, 0.032])
     written = json.loads((tmp_path / "direction_targets.json").read_text())
     assert written["policies"] == ["robust", "straight"]
-    # of the library the content counts, not the path
-    main(dataclasses.replace(both, library=str(asset_path("directions.npz"))))
     for settings, message in (
-        ({"library": None}, r"library_sha256 '[0-9a-f]+', not .* None;"),
         ({"commands": 10}, "measured with commands 200, not commands 10;"),
         ({"walks": 0}, "walks must be 1 or more, got 0"),
     ):
@@ -195,6 +195,11 @@ def test_a_record_keeps_values_and_is_of_one_library(
     for policy, made in ((limp(), None), (None, make_env)):
         with pytest.raises(ConfigurationError, match="leave out record, or"):
             main(config, policy, made)
+    # of the library the content counts, not the path
+    monkeypatch.setattr(direction_targets, "chosen_library", lambda *_: standing_library())
+    monkeypatch.setattr(direction_targets, "SPEEDS", ())
+    with pytest.raises(ConfigurationError, match=r"library_sha256 '[0-9a-f]+', not "):
+        main(both)
     assert len(asked) == 2 * 7
 
 
