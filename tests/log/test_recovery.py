@@ -83,6 +83,11 @@ def test_complete_log_is_recovered_completely(
     assert saved.reason == ""
     copy = read(saved.path)
     assert_beginning(copy, recording)
+    channels = []
+    for path in (log, saved.path):
+        with path.open("rb") as file:
+            channels.append([*make_reader(file).get_summary().channels.values()])  # pyright: ignore
+    assert channels[0] == channels[1]
     assert {t: len(s) for t, s in copy.series.items()} == {
         t: len(s) for t, s in recording.series.items()
     }
