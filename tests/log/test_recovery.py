@@ -20,7 +20,7 @@ def assert_beginning(rest: Recording, recording: Recording) -> None:
             np.testing.assert_array_equal(column, recording[topic][name][: len(series)])
 
 
-@pytest.mark.parametrize("part", np.linspace(0.0, 0.999, 12).round(3))
+@pytest.mark.parametrize("part", np.linspace(0.0, 0.999, 7).round(3))
 def test_truncated_log_is_recovered_up_to_the_cut(
     log: Path, recording: Recording, tmp_path: Path, part: float
 ) -> None:

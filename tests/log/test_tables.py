@@ -76,7 +76,7 @@ def test_every_topic_is_a_file(
     assert capsys.readouterr().out == f"{tmp_path / 'walk'}\n"
     files = {path.name for path in (tmp_path / "walk").iterdir()}
     assert files == {f"{topic[1:]}.{kind}" for topic in golden.series}
-    for topic in ("/state", "/step", "/log", "/tf"):
+    for topic in ("/step", "/log", "/tf"):
         table = read_table(tmp_path / "walk" / f"{topic[1:]}.{kind}")
         expected = golden[topic].table()
         assert table.column_names == [*expected]
