@@ -22,7 +22,7 @@ COMMANDS: Final = {
     "card": ("recipes.policy_card", "make the card of a policy"),
     "gaits": ("recipes.gait_library", "optimise gaits straight ahead"),
     "gaits directions": ("recipes.direction_library", "optimise gaits in all directions"),
-    "log": ("aslip.log", "list, check, recover and replay logs"),
+    "log": ("aslip.log", "list, check, export, recover and replay logs"),
     "export": ("aslip.control.export", "export a policy to ONNX"),
     "twin": ("aslip.network.twin", "simulate the robot behind its network protocol"),
     "control": ("aslip.network.runner", "run a policy over the robot's network protocol"),

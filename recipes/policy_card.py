@@ -3,6 +3,7 @@
     python -m recipes.policy_card --name mine --run runs/ppo_aslip     # ship a run's policy
     python -m recipes.policy_card --name mine                          # write its card again
     python -m recipes.policy_card --name mine --library directions     # follow other gaits
+    python -m recipes.policy_card --name mine --hub owner/mine         # to the Hugging Face hub
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
@@ -36,6 +37,9 @@ class Config(UserPaths):
     library: str | None = None
     """Library that the policy follows from now on, shipped or a file. Its file and its card still
     name the one of its training."""
+    hub: str | None = None
+    """Repository of the Hugging Face hub, `owner/name`, to which policy, curve and card are
+    uploaded; a new one is private."""
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -65,6 +69,7 @@ from aslip.envs import make_env
 from aslip.library import GaitLibrary
 from aslip.policy import (
     CARD,
+    POLICY_FILE,
     POLICY_FORMAT,
     find_policy,
     keep_library,
@@ -73,6 +78,7 @@ from aslip.policy import (
     policy_library,
     read_card,
 )
+from aslip.policy.hub import upload
 from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
 from aslip.training.run import write_text
@@ -143,6 +149,10 @@ def main(config: Config) -> Path:
     card = config.assets / f"{config.name}.md"
     write_text(card, "\n\n".join(parts) + "\n")
     print(f"{shipped}, {card}")
+    if config.hub is not None:
+        pictures = {curve.name: curve.read_bytes()} if curve.exists() else {}
+        files = {POLICY_FILE: shipped.read_bytes(), **pictures}
+        print(upload(config.hub, card.read_text(encoding="utf-8"), files))
     return card
 
 

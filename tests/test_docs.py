@@ -245,7 +245,7 @@ def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
                 shutil.copy("walk.mcap", words[-1])
             assert log_main(words[3:]) == 0, words
             ran += 1
-    assert ran == 4
+    assert ran == 5
 
 
 def test_every_named_policy_ships_or_is_trained_on_a_page() -> None:

@@ -17,6 +17,8 @@ from aslip.errors import MissingExtraError
 _EXTRAS = {
     "dm_control": "its labmaze has wheels for Python 3.11 and 3.12 only",
     "gymnasium": "gym",
+    "h5py": "tables",
+    "huggingface_hub": "hub",
     "imageio_ffmpeg": "train",
     "matplotlib": "train",
     "mlflow": "mlflow",
@@ -25,7 +27,9 @@ _EXTRAS = {
     "onnx": "control",
     "onnxruntime": "control",
     "onnxscript": "export",
+    "pandas": "tables",
     "pinocchio": "pip install 'pin>=4.1,<5'; on Windows, conda install -c conda-forge pinocchio",
+    "pyarrow": "tables",
     "pydrake": "drake",
     "ray": "ray",
     "rerun": "dev",

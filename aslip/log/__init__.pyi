@@ -7,4 +7,5 @@ from .reader import read as read
 from .recorder import Recorder as Recorder
 from .recovery import Recovery as Recovery
 from .recovery import recover as recover
+from .tables import export as export
 from .walk import read_walk as read_walk

@@ -1,4 +1,4 @@
-"""Logs from a shell: `python -m aslip.log info | check | recover | replay`."""
+"""Logs from a shell: `python -m aslip.log info | check | export | recover | replay`."""
 
 from __future__ import annotations
 
@@ -45,6 +45,11 @@ def _parser() -> argparse.ArgumentParser:
 
     command("info", _info, "List metadata, attachments and topics of a log.")
     command("check", _check, "Check that a log is complete and intact, by all checksums.")
+    tables = command("export", _export, "Write a log as tables, with a column per number.")
+    tables.add_argument("--to", choices=("parquet", "csv", "hdf5"), required=True, help="format")
+    tables.add_argument(
+        "--out", type=user_path, help="<name>/ by default, with a file per topic; <name>.h5 of HDF5"
+    )
     saving = command(
         "recover", _recover, "Save what comes before the damage or the end of an unfinished log."
     )
@@ -84,6 +89,11 @@ def _info(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     log.read(options.log)
     print(f"{options.log}: complete and intact")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    print(log.export(log.read(options.log), options.to, options.out))
     return 0
 
 

@@ -9,6 +9,8 @@ import hashlib
 import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,6 +21,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from aslip.base.archive import open_file
 from aslip.base.assets import user_path
+from aslip.base.imports import extras
 from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
 from aslip.log import messages
 from aslip.log.records import METADATA_HASH, FormatError, check_checksums, intact_records
@@ -82,6 +85,11 @@ def _flattened(message: Any) -> dict[str, Any]:
     return entries
 
 
+def without_objects(column: np.ndarray) -> np.ndarray:
+    """Column whose arrays of several lengths, if it has such, are text."""
+    return np.array([str(row) for row in column]) if column.dtype == object else column
+
+
 @dataclass(frozen=True)
 class Series:
     """Messages of one topic as arrays of m rows."""
@@ -122,6 +130,44 @@ class Series:
     def vector(self, name: str, components: str = "xyz") -> np.ndarray:
         """Columns `name_x`, `name_y`, ... as (m, k); quaternions have components "wxyz"."""
         return np.stack([self[f"{name}_{component}"] for component in components], axis=1)
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns (m,) by name, beginning with `time`.
+
+        An array becomes a column per item, `position[left_knee]`. Items have the names of the
+        topic's joints or frames if it has such, otherwise numbers from 0. Bytes become numbers.
+        """
+        texts = {n: c for n, c in self.columns.items() if c.dtype.kind == "U" and c.ndim == 2}
+        names = {
+            name: column[0].tolist()
+            for name, column in texts.items()
+            if (column == column[0]).all() and len({*column[0]}) == len(column[0])
+        }
+        labels = {len(items): items for items in names.values()}
+        table = {"time": self.time}
+        for name, column in self.columns.items():
+            if name in names:
+                continue
+            if column.dtype.kind == "S":
+                column = column[:, None].view(np.uint8)
+            column = without_objects(column)
+            if column.ndim == 1:
+                table[name] = column
+                continue
+            items = column.reshape(len(self), -1).T
+            for item, values in zip(labels.get(len(items), range(len(items))), items, strict=True):
+                table[f"{name}[{item}]"] = values
+        return table
+
+    def frame(self) -> Any:
+        """Data frame of `table`: pandas, or Polars where only that is installed.
+
+        Raises:
+            MissingExtraError: neither is installed.
+        """
+        polars = find_spec("pandas") is None and find_spec("polars") is not None
+        with extras():
+            return import_module("polars" if polars else "pandas").DataFrame(self.table())
 
     def __len__(self) -> int:
         return len(self.time)

@@ -110,8 +110,8 @@ def _copy(records: Sequence[McapRecord], writer: Writer) -> None:
         elif isinstance(r, Schema):
             schemas[r.id] = writer.register_schema(r.name, r.encoding, r.data)
         elif isinstance(r, Channel):
-            schema = schemas[r.schema_id]
-            channels[r.id] = writer.register_channel(r.topic, r.message_encoding, schema)
+            schema, encoding = schemas[r.schema_id], r.message_encoding
+            channels[r.id] = writer.register_channel(r.topic, encoding, schema, r.metadata)
         elif isinstance(r, Message):
             channel = channels[r.channel_id]
             writer.add_message(channel, r.log_time, r.data, r.publish_time, r.sequence)

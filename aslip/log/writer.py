@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
-from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 import aslip
@@ -36,6 +36,8 @@ HASH_KEY = "sha256/"
 """Prefix of the attachments' hashes in the metadata."""
 
 _CHUNK_SIZE = 2**18  # bytes
+# the profile of ROS 2 asks for it; an empty list lets `ros2 bag play` take its defaults
+_CHANNEL = {"offered_qos_profiles": "[]"}
 _MEDIA_TYPES = {".xml": "application/xml", ".json": "application/json", ".zip": "application/zip"}
 
 
@@ -99,7 +101,7 @@ class LogWriter:
     def open_channel(self, topic: str, kind: MessageType) -> int:
         """Register a topic; returns its channel id."""
         schema = self._writer.register_schema(kind.name, SchemaEncoding.ROS2, kind.text.encode())
-        return self._writer.register_channel(topic, MessageEncoding.CDR, schema)
+        return self._writer.register_channel(topic, MessageEncoding.CDR, schema, _CHANNEL)
 
     def write(self, channel: int, time_ns: int, data: bytes) -> None:
         """Write a message; each topic has its own sequence numbers, from 1."""
@@ -162,7 +164,7 @@ def open_writer(file: IO[bytes]) -> Writer:
     writer = Writer(
         file, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
     )
-    writer.start(profile="", library=f"aslip {aslip.__version__}")
+    writer.start(profile=Profile.ROS2, library=f"aslip {aslip.__version__}")
     return writer
 
 

@@ -27,6 +27,7 @@ from aslip.envs import shipped_library
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.library.library import SHIPPED
+from aslip.policy.hub import HUB, hub_file
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
@@ -180,7 +181,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     ConfigurationError.
 
     Args:
-        name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
+        name_or_path: name of a shipped policy, file of a policy, folder of a training run, or
+            "hf://owner/name", which is downloaded from the Hugging Face hub (extra `hub`).
         network: function that makes the actor, for a network of your own.
 
     Raises:
@@ -380,11 +382,13 @@ def check_policy_library(
 
 
 def find_policy(name_or_path: str | Path) -> Path:
-    """Path of a policy file, from a path, a run folder or the name of a shipped policy.
+    """Path of a policy file: of a path, a run folder, a shipped policy's name or the hub.
 
     Raises:
         AssetError: there is no such policy.
     """
+    if str(name_or_path).startswith(HUB):
+        return hub_file(str(name_or_path), POLICY_FILE)
     path = user_path(name_or_path)
     if path.is_file():
         return path

@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -111,6 +112,30 @@ def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
         _card(None, tmp_path / "assets")
     with pytest.raises(ConfigurationError, match=r"\.\./mine"):
         Config("../mine", tmp_path)
+
+
+def test_policy_and_card_are_uploaded_in_one_commit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To a new repository that is private; the card has front matter and how to load the policy."""
+    api = pytest.importorskip("huggingface_hub").HfApi
+    create, commit = (create_autospec(f) for f in (api.create_repo, api.create_commit))
+    monkeypatch.setattr(api, "create_repo", create)
+    monkeypatch.setattr(api, "create_commit", commit)
+    folder = _saved(tmp_path / "run", "straight", OBSERVATION_TABLE)
+    (folder / "learning_curve.png").write_bytes(b"a picture")
+    text = _card(folder, tmp_path / "assets", hub="owner/mine")
+    assert create.call_args.args[1:] == ("owner/mine",)
+    assert create.call_args.kwargs == {"private": True, "exist_ok": True}
+    _, name, added = commit.call_args.args
+    files = {one.path_in_repo: one.path_or_fileobj for one in added}
+    assert name == "owner/mine"
+    assert files["policy.zip"] == (tmp_path / "assets" / "mine.zip").read_bytes()
+    assert files["mine.png"] == b"a picture"
+    _, front, card = files["README.md"].decode().split("---\n", 2)
+    assert {"library_name: aslip", "- robotics"} <= {*front.splitlines()}
+    assert card.strip().startswith(text.strip())
+    assert 'aslip.load_policy("hf://owner/mine")' in card
 
 
 def test_limits_on_the_card_are_the_worst_measurements() -> None:
