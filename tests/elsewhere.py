@@ -49,7 +49,7 @@ class Elsewhere(Tensor):
         tensor.here = here
         return tensor
 
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore
 
     def tolist(self) -> Any:
         VISITS.append("list")

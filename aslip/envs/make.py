@@ -81,7 +81,7 @@ def make_env(
     """
     seed = random_seed() if seed is None else check_seed(seed)
     chosen = edit_stack(_find_stack(stack, library, reward_on), drop, replace or {})
-    simulator = {"floor_friction": floor_friction, "timestep": timestep}
+    simulator: dict[str, Any] = {"floor_friction": floor_friction, "timestep": timestep}
     simulator |= {"num_threads": num_threads, "device": device}
     if base is None:
         robot = _make_simulator(backend, num_envs, **simulator)
@@ -162,7 +162,7 @@ def _make_simulator(
 ) -> SimulatedEnv:
     if backend not in get_args(Backend):
         raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
-    physics = {"floor_friction": floor_friction, "timestep": timestep}
+    physics: dict[str, Any] = {"floor_friction": floor_friction, "timestep": timestep}
     if backend == "batch":
         return BatchEnv(num_envs, num_threads=num_threads, **physics)
     if backend == "warp":

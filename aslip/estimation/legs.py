@@ -63,10 +63,7 @@ class LegKinematics:
     def __init__(
         self, robot: Robot = CASSIE, place: Callable[[np.ndarray], Array] = np.asarray
     ) -> None:
-        self._left, self._right = (
-            Chain(*(place(x) if isinstance(x, np.ndarray) else x for x in chain))
-            for chain in leg_chains(robot)
-        )
+        self._left, self._right = (_placed(chain, place) for chain in leg_chains(robot))
         self.sole_radius, self.half_length, *_ = robot.skeleton.geoms["left_foot"].size
         """Radius of the soles' contact capsules, and half the length of their axes [m]."""
 
@@ -221,6 +218,11 @@ def _unit(angle: float) -> complex:
 def _dot(a: complex, b: complex) -> float:
     """Scalar product of planar vectors."""
     return a.real * b.real + a.imag * b.imag
+
+
+def _placed(chain: Chain, place: Callable[[np.ndarray], Array]) -> Chain:
+    arrays = {name: place(x) for name, x in chain._asdict().items() if isinstance(x, np.ndarray)}
+    return chain._replace(**arrays)
 
 
 @functools.cache

@@ -49,6 +49,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import mujoco_warp as mjw
 import torch
@@ -84,7 +85,7 @@ class Bound:
             with wp.ScopedCapture() as capture:
                 for _ in range(steps):
                     mjw.step(robots.m, self.d)
-        self._graph = capture.graph
+        self._graph: Any = capture.graph
 
     def advance(self) -> None:
         """Simulate a policy period from the robots' states."""
@@ -152,7 +153,7 @@ def _training_table(config: Config) -> str:
         samples = num * (preset.samples // preset.num_envs)
         settings = replace(preset, device=config.device, num_envs=num, samples=samples)
         settings = replace(settings, minibatch=min(preset.minibatch, samples))
-        spans = time_iterations("gpu", settings, 4)
+        spans = time_iterations(settings, 4)
         collecting = statistics.median(got - asked for asked, got in spans[2:])
         whole = statistics.median(b[0] - a[0] for a, b in itertools.pairwise(spans[2:]))
         cells = [str(num), str(samples), f"{collecting:.2f}", f"{whole - collecting:.2f}"]

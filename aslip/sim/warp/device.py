@@ -32,7 +32,7 @@ def check_device(device: str | torch.device) -> torch.device:
             " device='cpu', which is for tests, or backend='batch'"
         )
     wp.init()
-    driver = wp.get_cuda_driver_version()
+    driver = wp.get_cuda_driver_version() or (0, 0)
     if driver < _LEAST_DRIVER:
         raise ConfigurationError(
             f"the GPU's driver knows CUDA {'.'.join(map(str, driver))}; physics needs one of"

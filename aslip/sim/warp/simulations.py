@@ -78,7 +78,7 @@ class WarpSimulations:
         self._stride = round(model.opt.timestep / robot.physics_timestep)
         wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
         wp.init()
-        if not any(Path(wp.config.kernel_cache_dir).glob("*aslip.sim.warp*")):
+        if not any(Path(str(wp.config.kernel_cache_dir)).glob("*aslip.sim.warp*")):
             print("compiling kernels, once, which takes a minute", file=sys.stderr)
         self._device = wp.device_from_torch(place)
         try:
