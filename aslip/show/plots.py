@@ -14,7 +14,6 @@ from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
-from aslip.training.progress import read_progress
 from aslip.training.settings import SETTINGS_FILE, read_settings
 
 with extras():
@@ -188,7 +187,11 @@ def _from_zero(axes: Axes) -> None:
 
 
 def _history(run: History | str | Path) -> History:
-    return read_progress(Path(run)) if isinstance(run, str | Path) else run
+    if not isinstance(run, str | Path):
+        return run
+    from aslip.training.progress import read_progress  # needs loggers, and figures do not
+
+    return read_progress(Path(run))
 
 
 def _reward(run: History | str | Path) -> tuple[str, ...]:
