@@ -67,7 +67,8 @@ COLUMNS = {
 @benchmark
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Walk and compare; the result is a row for each policy."""
-    rows = [_compared(config, subject) for subject in policies.load()]
+    subjects = [subject for method in policies.methods().values() for subject in method]
+    rows = [_compared(config, subject) for subject in subjects]
     return Report(rows, table(COLUMNS, rows))
 
 
