@@ -162,7 +162,8 @@ def test_the_entries_that_are_sent_suffice_to_learn(
     """With the privileged critic, too."""
     monkeypatch.setattr("aslip.training.ray.RayCollectors", Selecting)
     make = DirectionConfig if recipe is ppo_directions else Config
-    recipe.main(make(**{**vars(TINY), "num_collectors": 2, "out": tmp_path / "run"}))
+    given = {name: value for name, value in vars(TINY).items() if value is not None}
+    recipe.main(make(**{**given, "num_collectors": 2, "out": tmp_path / "run"}))
     assert read_progress(tmp_path / "run")["step"] == [64, 128]
 
 

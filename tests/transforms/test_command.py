@@ -217,7 +217,8 @@ def cut(library: GaitLibrary) -> GaitLibrary:
         for w in (-1.0, 0.0, 1.0)
         if abs(x) / 0.2 + abs(y) / 0.2 + abs(w) <= 1
     ]
-    return GaitLibrary.from_motions(motions, samples=8, missing=True)
+    with pytest.warns(UserWarning, match=r"body\.velocity is not the rate"):
+        return GaitLibrary.from_motions(motions, samples=8, missing=True)
 
 
 def test_commands_fill_a_region_that_is_no_box(cut: GaitLibrary) -> None:
