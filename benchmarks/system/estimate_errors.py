@@ -214,6 +214,7 @@ def picture(walks: EstimateErrors, repeats: int) -> Figure:
             seconds, -150 - 60 * i, -100 - 60 * i, where=seen["contact"][:, i], color=color, lw=0
         )
     axes[4].set_ylabel("ground force [N]\n(bars: estimated contact)")
+    axes[4].set_ylim(top=1.4 * seen["force"].max())  # with room for the legend
     axes[4].set_xlabel("time [s]")
     axes[0].legend(loc="upper right", ncols=3, fontsize=8)
     axes[4].legend(loc="upper right", ncols=2, fontsize=8)
