@@ -213,7 +213,7 @@ def _reward(run: History | str | Path) -> tuple[str, ...]:
 
 
 def _draw_seeds(
-    axes: Axes, label: str, style: dict[str, str], column: str, runs: Sequence[History]
+    axes: Axes, label: str, style: dict[str, Any], column: str, runs: Sequence[History]
 ) -> None:
     """Draw mean and range of a column over seeds, at the steps of the shortest run."""
     known = [np.isfinite(run[column]) for run in runs]

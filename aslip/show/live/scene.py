@@ -165,7 +165,7 @@ class RobotScene:
     def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
-        server.on_client_connect(lambda client: client.camera.on_update(_fit))
+        server.on_client_connect(_keep_whole)
         self._world = server.scene.add_frame("/world", show_axes=False)
         self._floor = server.scene.add_grid(
             "/world/floor",
@@ -193,6 +193,10 @@ class RobotScene:
         # the pattern of the floor repeats after a section
         self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
         self.robot.update(qpos)
+
+
+def _keep_whole(client: viser.ClientHandle) -> None:
+    client.camera.on_update(_fit)
 
 
 def _fit(camera: viser.CameraHandle) -> None:
