@@ -88,7 +88,8 @@ class Steering:
         self.keys: dict[str, Callable[[], object]] = {}
         """Function to call at each press of a key, by the uuid of its command."""
         self._add_keys(gui)
-        pad = "left stick walks, right stick turns" + ", first button stands" * stands
+        pad = "left stick walks" + ", right stick turns" * (len(limits) > 2)
+        pad += ", first button stands" * stands
         gui.add_html(note(f"Keys: {steering_keys(len(limits), stands)}. Gamepad: {pad}."))
         self.stand = gui.add_button(_STAND, icon=viser.Icon.HAND_STOP) if stands else None
         """Button of the stand command; None for robots that cannot."""
