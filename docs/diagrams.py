@@ -16,7 +16,7 @@ IMAGES: Final = Path(__file__).parent / "images"
 
 _BOTH, _SIMULATED, _OTHER = "#d6e6f5", "#fbe3cb", "#e6e6e6"
 _INK, _FAINT = "#222222", "#777777"
-_HEADING, _PELVIS, _PATH = "#1f77b4", "#d62728", "#2ca02c"
+_HEADING, _PELVIS, _PATH = "#1b8a7a", "#d2780f", "#8e5bb5"
 
 _AROUND: Final = {
     "command": (9, 58, "draws it", _SIMULATED),
@@ -147,7 +147,15 @@ def _frame(
         tip = origin + _turned(angle, direction)
         axes.annotate("", tip, origin, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 2})
         beyond = origin + 1.13 * _turned(angle, direction)
-        axes.text(*beyond, axis, color=colour, ha="center", va="center", fontsize=10)
+        axes.text(
+            *beyond,
+            axis,
+            color=colour,
+            ha="center",
+            va="center",
+            fontsize=10,
+            bbox={"fc": "white", "ec": "none", "pad": 0.8},
+        )
     axes.plot(*origin, "o", color=colour, ms=5)
     axes.text(*(origin + np.array(offset)), name, color=colour, fontsize=10, va="bottom")
 

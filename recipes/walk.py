@@ -41,8 +41,9 @@ class Config(UserPaths):
     three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate; "seconds:stand" to
     stand, with a policy that can."""
     push: tuple[str, ...] = ()
-    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; durations are
-    rounded up to policy steps of 0.03 s, 0.12 s by default."""
+    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N]: x to the front of the
+    robot, y to its left, z up. Durations are rounded up to policy steps of 0.03 s, 0.12 s by
+    default."""
     duration: float | None = None
     """Duration of the walk [s]; by default until 4 s after the last change of speed. With --live,
     until Ctrl-C."""
@@ -57,14 +58,14 @@ class Config(UserPaths):
     joint_rate: JointRate = "policy"
     """Rate at which joints are logged: of the policy, 33 Hz, or of the physics, 2 kHz."""
     video: Path | None = None
-    """Film to write, such as walk.mp4."""
-    steps_per_frame: int = 1
-    """Policy steps between frames of the film; 2 halves the number of frames."""
+    """Film to write, such as walk.mp4 or walk.webp."""
+    steps_per_frame: int = 2
+    """Policy steps between frames of the film; 1 doubles the number of frames."""
     camera: str = "follow"
     """Camera of the film: side, follow or front."""
-    width: int = 640
+    width: int = 1280
     """Width of the film [pixels]."""
-    height: int = 480
+    height: int = 720
     """Height of the film [pixels]."""
     rom: RomPlace = "beside"
     """Place of the reduced-order model in film and viewer: beside the robot, through it, hidden."""
@@ -167,8 +168,10 @@ def serve(config: Config, walker: Walker) -> None:
     """Serve the page until Ctrl-C."""
     from aslip.show.live import LivePage
 
-    policies = dict.fromkeys([config.policy, *config.policies])
-    LivePage(walker, {name: name for name in policies}, host=config.host, port=config.port).serve()
+    policies = {name: name for name in (config.policy, *config.policies)}
+    page = LivePage(walker, policies, host=config.host, port=config.port)
+    print(f"page at {page.url}\nkeys there: {page.keys}\nCtrl-C ends", flush=True)
+    page.serve()
 
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
@@ -249,7 +252,7 @@ def walk(
         A row per policy step, and the frames of the film if there is one.
     """
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
-    rows, frames = [], [Frame.of(walker.td)]
+    rows, frames = [], [Frame.of(walker.td, 0.0)]
     with contextlib.ExitStack() as stack:
         show = None
         if config.viewer:
@@ -265,9 +268,9 @@ def walk(
             td = walker.step()
             rows.append(row(walker, td))
             if config.video is not None and walker.steps % config.steps_per_frame == 0:
-                frames.append(Frame.of(td["next"]))
+                frames.append(Frame.of(td["next"], walker.time, td.get("push")))
             if show is not None:
-                show(Frame.of(td["next"]))
+                show(Frame.of(td["next"], walker.time))
             if walker.fallen:
                 break
     return rows, frames

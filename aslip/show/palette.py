@@ -13,6 +13,8 @@ ROBOT = "#e08a1e"
 """Curves of the simulated robot."""
 COMMAND = "#7f7f7f"
 """Commanded speed."""
+SERIES = (ROBOT, "#1b8a7a", "#8e5bb5", MODEL, "#a3a3a3")
+"""Curves that are compared with each other, such as policies: at most five."""
 
 
 def rgba(color: str) -> tuple[float, float, float, float]:

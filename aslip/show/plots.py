@@ -13,11 +13,12 @@ from aslip.base.assets import user_path
 from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
-from aslip.show.palette import LEFT, RIGHT
+from aslip.show.palette import LEFT, MODEL, RIGHT, SERIES
 from aslip.training.settings import SETTINGS_FILE, read_settings
 
 with extras():
     import matplotlib as mpl
+    from cycler import cycler
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
@@ -28,38 +29,37 @@ with extras():
 History = Mapping[str, Sequence[float] | np.ndarray]
 """Columns of a run's `progress.csv` by name."""
 
-MODE_COLORS = {Mode.LEFT: LEFT, Mode.RIGHT: RIGHT, Mode.DOUBLE: "tab:purple"}
-_PATHS: dict[str, dict[str, Any]] = {
-    "body": {"lw": 2.5},
-    "left foot": {"lw": 1.5, "ls": "--"},
-    "right foot": {"lw": 1.5, "ls": ":"},
+_MODES = {
+    Mode.LEFT: (LEFT, "body in left single stance"),
+    Mode.RIGHT: (RIGHT, "body in right single stance"),
+    Mode.DOUBLE: (MODEL, "body in double stance"),
 }
-_MODE_LABELS = {
-    Mode.LEFT: "left single stance",
-    Mode.RIGHT: "right single stance",
-    Mode.DOUBLE: "double stance",
+_BODY: dict[str, Any] = {"lw": 2.5}
+_FEET: dict[str, dict[str, Any]] = {
+    "left foot": {"color": LEFT, "lw": 1.5, "ls": "--"},
+    "right foot": {"color": RIGHT, "lw": 1.5, "ls": ":"},
 }
 
 
 def gait_figure(gait: Gait, strides: int = 2) -> Figure:
-    """Figure of the paths of body and feet of a gait, coloured by contact mode.
+    """Figure of the paths of body, coloured by contact mode, and feet of a gait.
 
     Args:
         gait: gait to draw.
         strides: number of strides to draw.
     """
     motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    figure = Figure(figsize=(9, 5), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
-    paths = (motion.body.position, *motion.feet.position.swapaxes(0, 1))
-    for path, style in zip(paths, _PATHS.values(), strict=True):
-        for mode, points in _pieces(motion.mode, path):
-            axes.plot(*points.T, color=MODE_COLORS[mode], **style)
+    for mode, points in _pieces(motion.mode, motion.body.position):
+        axes.plot(*points.T, color=_MODES[mode][0], **_BODY)
+    for path, style in zip(motion.feet.position.swapaxes(0, 1), _FEET.values(), strict=True):
+        axes.plot(*path.T, **style)
     span = np.ptp(motion.body.position[:, 0])
     axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)  # pyright: ignore[reportArgumentType]
     axes.set(xlabel="x [m]", zlim=(0, 1))
-    axes.set_ylabel("y [m]", labelpad=-2)
+    axes.set_ylabel("y [m]", labelpad=1)
     axes.set_yticks([-0.1, 0.1])
     axes.set_zlabel("z [m]")
     axes.view_init(elev=16, azim=-72)
@@ -111,6 +111,8 @@ def learning_curve(history: History, title: str) -> Figure:
     steps = np.asarray(history["step"]) / 1e6
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
+    for axes in (left, right):
+        axes.set_prop_cycle(cycler(ls=_DASHES[:2]) * cycler(color=SERIES))
     left.plot(steps, history["episode_length"], label="training episode length")
     left.plot(steps, history["episode_return"], label="training return")
     evaluated = ~np.isnan(history["eval_return"])
@@ -162,7 +164,9 @@ def compare_learning(folders: Mapping[str, Sequence[History | str | Path]]) -> F
     ):
         for i, (name, runs) in enumerate(groups.items()):
             if runs:
-                _draw_seeds(axes, name, f"C{i}", column, runs)
+                # beyond five curves, the same colours dashed
+                style = {"color": SERIES[i % len(SERIES)], "ls": _DASHES[i // len(SERIES) % 3]}
+                _draw_seeds(axes, name, style, column, runs)
         if differ and "return" in column:
             label += ", each of its own reward"
         axes.set(xlabel="policy steps [million]", ylabel=label, xlim=(0, None))
@@ -173,6 +177,7 @@ def compare_learning(folders: Mapping[str, Sequence[History | str | Path]]) -> F
     return figure
 
 
+_DASHES = ("-", "--", ":")
 _COMPARED = {
     "episode_length": "training episode length",
     "episode_return": "training return",
@@ -207,7 +212,9 @@ def _reward(run: History | str | Path) -> tuple[str, ...]:
     return tuple(sorted(text for text in described if text.startswith(("Reward", "WeightedR"))))
 
 
-def _draw_seeds(axes: Axes, label: str, color: str, column: str, runs: Sequence[History]) -> None:
+def _draw_seeds(
+    axes: Axes, label: str, style: dict[str, Any], column: str, runs: Sequence[History]
+) -> None:
     """Draw mean and range of a column over seeds, at the steps of the shortest run."""
     known = [np.isfinite(run[column]) for run in runs]
     if not all(values.any() for values in known):
@@ -219,7 +226,8 @@ def _draw_seeds(axes: Axes, label: str, color: str, column: str, runs: Sequence[
     steps = min((curve[0] for curve in curves), key=lambda steps: steps[-1])
     values = np.stack([np.interp(steps, *curve) for curve in curves])
     marker = "o" if column == "eval_return" else ""
-    axes.plot(steps, values.mean(0), marker=marker, ms=3, color=color, label=label)
+    axes.plot(steps, values.mean(0), marker=marker, ms=3, label=label, **style)
+    color = style["color"]
     axes.fill_between(steps, values.min(0), values.max(0), alpha=0.25, lw=0, color=color)
 
 
@@ -243,7 +251,5 @@ def _shade_modes(axes: Axes, gait: Gait) -> None:
 
 
 def _gait_legend() -> list[Line2D]:
-    handles = [Line2D([], [], color=MODE_COLORS[m], lw=2.5, label=_MODE_LABELS[m]) for m in Mode]
-    for path, style in _PATHS.items():
-        handles.append(Line2D([], [], color="0.3", label=path, **style))
-    return handles
+    body = [Line2D([], [], color=color, label=label, **_BODY) for color, label in _MODES.values()]
+    return body + [Line2D([], [], label=label, **style) for label, style in _FEET.items()]

@@ -6,7 +6,7 @@ MuJoCo draws through OpenGL; `aslip.robot.opengl` chooses how.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from aslip.show.ghost import (
     WIRE_RADIUS,
     Ghost,
 )
+from aslip.show.palette import ROBOT, rgba
 
 # group of the collision geoms in the robot's MJCF
 _COLLISION_GROUP = 3
@@ -33,15 +34,19 @@ _SEGMENTS_PER_COIL = 12
 # share of a leg, at each end, that is drawn as a straight rod
 _ROD_SHARE = 0.2
 
+_ARROW_LENGTH, _ARROW_RADIUS = 0.6, 0.02
+# height of lines above the floor [m]
+_LINE_HEIGHT = 0.005
+
 
 def render_frames(
     qpos: np.ndarray,
     *,
-    camera: str = "side",
+    camera: str | mujoco.MjvCamera = "side",
     width: int = 640,
     height: int = 480,
     model: mujoco.MjModel | None = None,
-    ghosts: Sequence[Ghost] | None = None,
+    add: Callable[[mujoco.MjvScene, int], object] | None = None,
     robot: bool = True,
     supersampling: int = 1,
 ) -> Iterator[np.ndarray]:
@@ -49,11 +54,12 @@ def render_frames(
 
     Args:
         qpos: (n, nq) configurations, MuJoCo's conventions.
-        camera: camera of the model; shipped robots have "side", "follow" and "front".
+        camera: camera of the model, or one of its own; shipped robots have "side", "follow" and
+            "front".
         width: width of a picture [pixels].
         height: height of a picture [pixels].
         model: compiled model; `aslip.robot.model.load_model()` by default.
-        ghosts: n reduced-order models to draw, one per picture.
+        add: function that adds shapes to the scene of the picture of an index, such as `add_ghost`.
         robot: draw the robot itself.
         supersampling: side of the squares of pixels averaged into one, for smooth edges.
 
@@ -75,15 +81,15 @@ def render_frames(
     sizes = width * supersampling, height * supersampling
     if min(sizes) < 1 or sizes[0] > limits[0] or sizes[1] > limits[1]:
         raise ConfigurationError(f"pictures have 1 x 1 to {limits} pixels, got {sizes}")
-    return _frames(drawn, qpos, camera, (width, height, supersampling), ghosts, robot)
+    return _frames(drawn, qpos, camera, (width, height, supersampling), add, robot)
 
 
 def _frames(
     model: mujoco.MjModel,
     qpos: np.ndarray,
-    camera: str,
+    camera: str | mujoco.MjvCamera,
     sizes: tuple[int, int, int],
-    ghosts: Sequence[Ghost] | None,
+    add: Callable[[mujoco.MjvScene, int], object] | None,
     robot: bool,
 ) -> Iterator[np.ndarray]:
     width, height, supersampling = sizes
@@ -96,8 +102,8 @@ def _frames(
             data.qpos[:] = configuration
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera, option)
-            if ghosts is not None:
-                add_ghost(renderer.scene, ghosts[i])
+            if add is not None:
+                add(renderer.scene, i)
             yield _shrink(renderer.render(), supersampling)
 
 
@@ -116,13 +122,42 @@ def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
         (ghost.left, ghost.left_stance, LEG_COLORS["left"]),
         (ghost.right, ghost.right_stance, LEG_COLORS["right"]),
     ):
-        rgba = np.array(color)
+        shade = np.array(color)
         if not stance:
-            rgba += SWING_FADE * (1.0 - rgba)
+            shade += SWING_FADE * (1.0 - shade)
         path = spring_path(body, np.asarray(foot, dtype=np.float64))
-        for start, end in itertools.pairwise(path):
-            _add_capsule(scene, start, end, rgba)
-        _add_sphere(scene, path[-1], FOOT_RADIUS, rgba)
+        for ends in itertools.pairwise(path):
+            _connect(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, WIRE_RADIUS, ends, shade)
+        _add_sphere(scene, path[-1], FOOT_RADIUS, shade)
+
+
+def add_push(scene: mujoco.MjvScene, place: np.ndarray, force: np.ndarray) -> None:
+    """Add an arrow that ends where a force pushes; none without a force.
+
+    Args:
+        scene: scene before drawing.
+        place: (3,) [m].
+        force: (3,) [N].
+    """
+    if size := float(np.linalg.norm(force)):
+        start = place - _ARROW_LENGTH * force / size
+        _connect(scene, mujoco.mjtGeom.mjGEOM_ARROW, _ARROW_RADIUS, (start, place), rgba(ROBOT))
+
+
+def add_line(
+    scene: mujoco.MjvScene, points: np.ndarray, width: float, color: Sequence[float]
+) -> None:
+    """Add a line on the floor.
+
+    Args:
+        scene: scene before drawing.
+        points: (n, 2) corners [m].
+        width: width [pixels].
+        color: red, green, blue and opacity.
+    """
+    raised = np.column_stack([points, np.full(len(points), _LINE_HEIGHT)])
+    for ends in itertools.pairwise(raised):
+        _connect(scene, mujoco.mjtGeom.mjGEOM_LINE, width, ends, color)
 
 
 def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -165,17 +200,20 @@ def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _add_sphere(
-    scene: mujoco.MjvScene, center: np.ndarray, radius: float, rgba: np.ndarray
+    scene: mujoco.MjvScene, center: np.ndarray, radius: float, color: np.ndarray
 ) -> None:
-    _next_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), center, rgba)
+    _next_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), center, color)
 
 
-def _add_capsule(
-    scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgba: np.ndarray
+def _connect(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    width: float,
+    ends: tuple[np.ndarray, np.ndarray],
+    color: Sequence[float] | np.ndarray,
 ) -> None:
-    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-    geom = _next_geom(scene, kind, np.zeros(3), np.zeros(3), rgba)
-    mujoco.mjv_connector(geom, kind, WIRE_RADIUS, start, end)
+    geom = _next_geom(scene, kind, np.zeros(3), np.zeros(3), np.asarray(color))
+    mujoco.mjv_connector(geom, kind, width, *ends)
 
 
 def _next_geom(
@@ -183,12 +221,12 @@ def _next_geom(
     kind: mujoco.mjtGeom,
     size: np.ndarray,
     position: np.ndarray,
-    rgba: np.ndarray,
+    color: np.ndarray,
 ) -> mujoco.MjvGeom:
     if scene.ngeom >= scene.maxgeom:
         raise ConfigurationError(f"the scene is full: it holds {scene.maxgeom} geoms")
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, size, position, np.eye(3).ravel(), rgba.astype(np.float32))
+    mujoco.mjv_initGeom(geom, kind, size, position, np.eye(3).ravel(), color.astype(np.float32))
     # geoms of mjv_initGeom are decoration, which casts no shadow
     geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
     scene.ngeom += 1

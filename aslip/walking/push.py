@@ -21,7 +21,7 @@ class Push:
     time: float
     """Start [s]."""
     force: tuple[float, float, float]
-    """Force [N, world]."""
+    """Force [N]: to the front of the robot, to its left, and up."""
     duration: float = 4 * CASSIE.policy_period
     """Duration [s], rounded up to whole policy steps."""
 

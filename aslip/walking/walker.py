@@ -16,6 +16,7 @@ from aslip.base.decorators import on_cpu_in_single
 from aslip.envs import EPISODE_ENDS, StackEnv, library_of, make_env, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
+from aslip.library.footholds import yaw_rotation
 from aslip.policy import (
     add_memory,
     check_policy_fits,
@@ -166,18 +167,21 @@ class Walker:
         """Push the pelvis from the next policy step on; replaces the current push.
 
         Args:
-            force: (3,) force [N, world].
+            force: (3,) force [N]: to the front of the robot as it is now, to its left, and up.
             duration: duration [s], rounded up to policy steps.
 
         Raises:
             ConfigurationError: the force is not three finite numbers, or the duration not positive.
         """
-        vector = torch.tensor(np.array(force, dtype=np.float64)).float()
-        if vector.shape != (3,) or not torch.isfinite(vector).all():
+        vector = np.array(force, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
             raise ConfigurationError(f"a push needs three finite forces [N], got {force!r}")
         if not 0 < duration < math.inf:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
-        self._push, self._push_steps = vector[None], policy_steps(duration)
+        orientation = cast("torch.Tensor", self.td["truth", "pelvis_orientation"])[0]
+        turned = yaw_rotation(orientation.numpy()) @ vector
+        self._push = torch.from_numpy(turned).float()[None]
+        self._push_steps = policy_steps(duration)
 
     @on_cpu_in_single
     def reset(self, speed: Command | Sequence[float] | None = None, stand: bool = False) -> None:

@@ -54,6 +54,7 @@ from tqdm import tqdm
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
+from aslip.show.palette import ROBOT
 from aslip.walking import next_start, reset_walks, take_step
 from aslip.walking.record import commands_kept
 from benchmarks.common import Policies, Report, Subject, benchmark, table
@@ -132,9 +133,9 @@ def picture(row: dict[str, Any]) -> Figure:
                 "",
                 (new[other], new[0]),
                 (old[other], old[0]),
-                arrowprops={"arrowstyle": "->", "color": "tab:red"},
+                arrowprops={"arrowstyle": "->", "color": ROBOT},
             )
-            axes.plot([old[other], new[other]], [old[0], new[0]], ".", color="tab:red", ms=3)
+            axes.plot([old[other], new[other]], [old[0], new[0]], ".", color=ROBOT, ms=3)
         axes.set(xlabel=AXES[other], ylabel=AXES[0])
         axes.grid(alpha=0.3)
     figure.suptitle(f"{len(row['falls'])} falls in {row['changes']} changes of the command")

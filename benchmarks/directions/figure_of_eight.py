@@ -49,6 +49,7 @@ if __name__ == "__main__":
 import contextlib
 from typing import Any, cast
 
+import mujoco
 import numpy as np
 import torch
 from matplotlib.figure import Figure
@@ -60,13 +61,15 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film
+from aslip.show.palette import MODEL, ROBOT
 from aslip.walking import next_start, policy_steps, reset_walks, take_step
 from aslip.walking.record import commands_kept
 from benchmarks.common import MakeEnv, Policies, Policy, Report, Subject, benchmark, table
 
 _POINTS = 500  # number of points of the drawn path
-_STEPS_PER_FRAME = 2  # policy steps between frames of the film
-_LOOK = Look("follow", 480, 360)
+_STEPS_PER_FRAME = 4  # policy steps between frames of the film
+_SPEED_UP = 2  # speed of the film over that of the walk
+_DISTANCE, _ELEVATION = 3.3, -40.0  # of the film's camera [radii, deg]
 
 
 COLUMNS = {
@@ -84,7 +87,8 @@ def main(
     """Measure, print and draw, then make the film; return a row for each policy."""
     rows, frames = measure(config, policy, make_env)
     if config.video is not None:
-        make_film(config.video, frames, 1 / (_STEPS_PER_FRAME * CASSIE.policy_period), _LOOK)
+        rate = _SPEED_UP / (_STEPS_PER_FRAME * CASSIE.policy_period)
+        make_film(config.video, frames, rate, look(config.radius))
     return rows
 
 
@@ -95,7 +99,7 @@ def measure(config: Config, policies: Policies) -> Report[tuple[list[dict[str, A
     follower = PathFollower(Eight(config.radius), config.speed)
     found = [walk_path(config, one, subjects[0].library, follower) for one in subjects]
     rows, places, frames = zip(*found, strict=True)
-    figure = picture(follower, places[0])
+    figure = picture(config.radius, places[0])
     return Report(([*rows], frames[0]), table(COLUMNS, rows), figure, {"rows": rows})
 
 
@@ -119,7 +123,7 @@ def walk_path(
             true_along += follower.errors(true, true_along)[0]
             td["command"] = library.nearest(torch.tensor([command]))
             if config.video is not None and len(places) % _STEPS_PER_FRAME == 0:
-                frames.append(Frame.of(td))
+                frames.append(Frame.of(td, len(places) * CASSIE.policy_period))
             td = take_step(subject.policy, env, td)
             places.append([estimated[:2], true[:2]])
             nearest = (estimated, along), (true, true_along)
@@ -157,18 +161,28 @@ def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:
     return *place, heading + turned
 
 
-def picture(follower: PathFollower, places: np.ndarray) -> Figure:
+def look(radius: float) -> Look:
+    """Film of the whole path from behind the start, with the path on the floor."""
+    camera = mujoco.MjvCamera()
+    camera.distance, camera.azimuth, camera.elevation = _DISTANCE * radius, 0.0, _ELEVATION
+    return Look(camera, 1280, 720, path=path_points(radius))
+
+
+def path_points(radius: float) -> np.ndarray:
+    """Points (n, 2) of the figure of eight [m]."""
+    along = np.linspace(0, 4 * math.pi * radius, _POINTS)
+    return np.array([Eight(radius).at(each)[0][:2] for each in along])
+
+
+def picture(radius: float, places: np.ndarray) -> Figure:
     """Draw the path, and the estimated and true positions of the first policy, from above."""
     figure = Figure(figsize=(5, 7.5), layout="constrained")
     axes = figure.subplots()
-    assert isinstance(follower.path, Eight)
-    length = 4 * math.pi * follower.path.radius
-    path = np.array([follower.path.at(along)[0][:2] for along in np.linspace(0, length, _POINTS)])
-    axes.plot(*path.T, "k--", lw=1, label="path")
-    axes.plot(*places[:, 0].T, color="tab:blue", lw=1, label="estimate")
-    axes.plot(*places[:, 1].T, color="tab:red", lw=1, label="truth")
+    axes.plot(*places[:, 0].T, color=MODEL, lw=1, label="estimate")
+    axes.plot(*places[:, 1].T, color=ROBOT, lw=1, label="truth")
+    axes.plot(*path_points(radius).T, "k--", lw=1, label="path")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.legend(loc="upper right", fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8)
     axes.grid(alpha=0.3)
     return figure
 

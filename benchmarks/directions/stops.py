@@ -59,6 +59,8 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
@@ -194,9 +196,9 @@ def picture(walks: Sequence[dict[str, Any]], traces: Sequence[Any]) -> Figure:
     figure = Figure(figsize=(10, 7), layout="constrained")
     (planted, power), (away, angle) = figure.subplots(2, 2)
     speeds = np.array([walk["command"][0] for walk in walks])
-    shades = (speeds - speeds.min()) / max(np.ptp(speeds), 1e-9)
-    for walk, trace, shade in zip(walks, traces, shades, strict=True):
-        colour = (0.1 + 0.8 * shade, 0.3, 0.9 - 0.8 * shade)
+    scale = ScalarMappable(Normalize(speeds.min(), speeds.max()), "viridis")
+    for walk, trace in zip(walks, traces, strict=True):
+        colour = scale.to_rgba(walk["command"][0])
         planted.plot(walk["command"][0], walk["planted"], "o", color=colour, ms=5)
         power.plot(walk["command"][0], walk["power"], "o", color=colour, ms=5)
         if trace is not None:
@@ -214,7 +216,8 @@ def picture(walks: Sequence[dict[str, Any]], traces: Sequence[Any]) -> Figure:
     for axes in (planted, power, away, angle):
         axes.grid(alpha=0.3)
     falls = sum(walk["fell"] is not None for walk in walks)
-    figure.suptitle(f"{falls} falls in {len(walks)} walks; blue to red: slow to fast before")
+    figure.suptitle(f"{falls} falls in {len(walks)} walks")
+    figure.colorbar(scale, ax=[away, angle], label=speed, location="bottom", aspect=60)
     return figure
 
 

@@ -97,8 +97,9 @@ def picture(command: np.ndarray, twist: np.ndarray) -> Figure:
             dots = axes.scatter(
                 command[~fell, other], command[~fell, 0], c=error[~fell], s=22, vmin=0, vmax=0.2
             )
-            axes.plot(command[fell, other], command[fell, 0], "rx", ms=5, label="fall")
+            axes.plot(command[fell, other], command[fell, 0], "kx", ms=5, label="fall")
             axes.set(xlabel=AXES[other], ylabel=AXES[0])
+            axes.locator_params(axis="x", nbins=6)
             if fell.any():
                 axes.legend(loc="upper right", fontsize=8)
         figure.colorbar(dots, ax=row.tolist(), label=name, extend="max")

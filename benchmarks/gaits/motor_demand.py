@@ -36,6 +36,7 @@ if __name__ == "__main__":
 
 from typing import Final
 
+import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib.figure import Figure
@@ -127,11 +128,11 @@ def picture(config: Config, found: dict[str, list[Demand]]) -> Figure:
     for row, (name, demands) in zip(panels, found.items(), strict=True):
         for axes, (joint, motor) in zip(row, _MOTORS.items(), strict=True):
             i = CASSIE.motor_names.index(motor)
-            for k, (speed, (velocity, torque)) in enumerate(
-                zip(config.speeds, demands, strict=True)
+            shades = mpl.colormaps["viridis"](np.linspace(0, 0.9, len(demands)))
+            for speed, (velocity, torque), shade in zip(
+                config.speeds, demands, shades, strict=True
             ):
-                colour = f"C{k}"
-                axes.plot(velocity[:, i], torque[:, i], color=colour, label=f"{speed:g} m/s")
+                axes.plot(velocity[:, i], torque[:, i], color=shade, label=f"{speed:g} m/s")
             rate = np.linspace(-18.0, 18.0, 361)
             limit = motor_limit(np.repeat(rate[:, None], len(CASSIE.motor_names), axis=1))[:, i]
             axes.fill_between(rate, -limit, limit, color="0.9", label="motor", zorder=0)

@@ -69,7 +69,7 @@ from aslip.library import numbers
 from aslip.robot import CASSIE
 from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
-from aslip.show.render import render_frames
+from aslip.show.render import add_ghost, render_frames
 from aslip.walking import Walker
 from benchmarks.common import MakeEnv, Policy, Subject
 from benchmarks.flags import Common
@@ -140,7 +140,13 @@ def draw(stride: Stride, config: Config) -> Figure:
     """Draw two film strips: the reduced-order model, and the robot below it."""
     look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
     count = len(stride.phase)
-    rom = render_frames(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)
+    rom = render_frames(
+        stride.qpos,
+        add=lambda scene, i: add_ghost(scene, stride.ghosts[i]),
+        robot=False,
+        supersampling=2,
+        **look,
+    )
     robot = render_frames(stride.qpos, supersampling=2, **look)
     # software rendering takes seconds per picture
     drawn = tqdm(itertools.chain(rom, robot), total=2 * count, unit="picture", desc="drawing")

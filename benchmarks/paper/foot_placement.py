@@ -72,6 +72,7 @@ from aslip.base.interval import Interval
 from aslip.library import Command
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, SIDES
+from aslip.show.palette import COMMAND, ROBOT, SERIES
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement, footsteps, placement
 from benchmarks.common import (
@@ -196,17 +197,17 @@ def picture(by_speed: dict[float, list[Placement]]) -> Figure:
     means = [100 * _mean(np.mean, [p.error for p in ps]) for ps in by_speed.values()]
     spread = [100 * _mean(np.std, [p.error for p in ps]) for ps in by_speed.values()]
     theirs = np.array(list(PUBLISHED.values())).T * 100
-    left.errorbar(list(PUBLISHED), *theirs, color="tab:gray", capsize=3, label="paper's figure")
+    left.errorbar(list(PUBLISHED), *theirs, color=COMMAND, capsize=3, label="paper's figure")
     for i, errors in enumerate(RELEASED.values()):
         name = None if i else "released policies"
         cm = [100 * error for error in errors.values()]
         left.plot(list(errors), cm, "s--", color="black", lw=0.8, ms=4, label=name)
-    left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
+    left.errorbar(speeds, means, spread, color=ROBOT, capsize=3, label="here")
     left.set(xlabel="commanded speed [m/s]", ylabel="foot-placement error [cm]", ylim=(0, None))
     left.legend()
     for name, pick, color in (
-        ("forward", lambda p: p.offset[:, 0], "tab:blue"),
-        ("outward", lambda p: p.outward, "tab:orange"),
+        ("forward", lambda p: p.offset[:, 0], SERIES[1]),
+        ("outward", lambda p: p.outward, SERIES[2]),
     ):
         means = [100 * _mean(np.mean, [pick(p) for p in ps]) for ps in by_speed.values()]
         right.plot(speeds, means, "o-", color=color, label=name)

@@ -54,6 +54,7 @@ from aslip.library import GaitLibrary
 from aslip.library.footholds import touchdown_phases
 from aslip.robot import CASSIE
 from aslip.rom import Gait, Motion
+from aslip.show.palette import SERIES
 from aslip.walking import Walker
 from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
@@ -237,7 +238,7 @@ def picture(
         model = model_force(nearest_motion(library, speed))
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
         for k, method in enumerate(dict.fromkeys(method for method, _ in curves)):
-            color = f"C{k}"
+            color = SERIES[k % len(SERIES)]
             found = curves.get((method, speed), ())
             for i, one in enumerate(found):
                 style: dict[str, Any] = {} if len(found) == 1 else {"lw": 0.8, "alpha": 0.7}

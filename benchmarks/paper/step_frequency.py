@@ -37,6 +37,7 @@ from matplotlib.figure import Figure
 from aslip.base.interval import Interval
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE
+from aslip.show.palette import MODEL, ROBOT
 from aslip.walking import Walks
 from aslip.walking.metrics import duty_factor, step_frequency
 from benchmarks.common import (
@@ -98,8 +99,8 @@ def picture(rows: list[dict[str, Any]]) -> Figure:
     figure = Figure(figsize=(6, 4), layout="constrained")
     axis = figure.subplots()
     speeds = [row["speed"] for row in rows]
-    axis.plot(speeds, [row["model"] for row in rows], color="tab:gray", lw=3, label="model")
-    axis.plot(speeds, [row["mean"] for row in rows], "o", color="tab:red", label="robot")
+    axis.plot(speeds, [row["model"] for row in rows], color=MODEL, lw=3, label="model")
+    axis.plot(speeds, [row["mean"] for row in rows], "o", color=ROBOT, label="robot")
     axis.set(xlabel="commanded speed [m/s]", ylabel="step frequency [Hz]")
     axis.grid(alpha=0.3)
     axis.legend()

@@ -50,6 +50,7 @@ from aslip.base.interval import Interval
 from aslip.library import PAPER_SPEEDS, GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.show.palette import MODEL, ROBOT
 from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, tracks_command
 from aslip.walking.metrics import (
     StepResponse,
@@ -271,11 +272,11 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     parts = figure.subplots(1, 2, width_ratios=(2, 1))
     time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
     robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
-    parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
+    parts[0].plot(time, model, color=MODEL, lw=1, label="reduced-order model")
     name = "robot's pelvis" if policies == 1 else f"robot's pelvis, first of {policies} policies"
-    parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
+    parts[0].plot(time, robot, color=ROBOT, lw=1.2, label=name)
     smooth = stride_average(robot, 0.8, CASSIE.policy_period)
-    parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="stride average")
+    parts[0].plot(time, smooth, color=ROBOT, lw=3, alpha=0.3, label="stride average")
     parts[0].step(time, walk.speed[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
     parts[0].legend(loc="upper right", fontsize=8)
@@ -283,7 +284,7 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     parts[1].plot(commanded, commanded, "k--", label="command")
     means = np.array([row["mean"] for row in mapped])
     spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
-    parts[1].errorbar(commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean")
+    parts[1].errorbar(commanded, means, spread, fmt="o", color=ROBOT, capsize=3, label="mean")
     parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
     parts[1].legend()
     for part in parts:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
@@ -13,8 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-# cyclic colour map of phases
-_CYCLIC = "hsv"
+from aslip.show.palette import ROBOT
 
 
 def picture(
@@ -57,23 +55,25 @@ def picture(
 def _draw_polar(axes: PolarAxes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
     """Draw impulses (directions, phases) over direction, forward up, with a line for each phase.
 
-    The shaded area is survived at every phase.
+    The shaded area is survived at every phase. The map beside it tells the phases apart.
     """
-    directions, phases = impulse.shape
+    directions = len(impulse)
     angle = 2 * np.pi * np.arange(directions + 1) / directions
     closed = np.concatenate([impulse, impulse[:1]])
     axes.fill(angle, closed.min(axis=1), color="0.85", label="survived at\nevery phase")
-    for j in range(phases):
-        color = mpl.colormaps[_CYCLIC](j / phases)
-        axes.plot(angle, closed[:, j], color=color, lw=1.2, label=f"{j / phases:.3g}")
-    axes.plot(angle, closed.mean(axis=1), "k", lw=2.5, label="mean over\nphases")
+    each, *_ = axes.plot(angle, closed, color="0.6", lw=0.8)
+    each.set_label("one phase")
+    axes.plot(angle, closed.mean(axis=1), ROBOT, lw=2.5, label="mean over\nphases")
     axes.set_theta_zero_location("N")
     axes.set_thetagrids(list(sides), list(sides.values()))
     axes.set_ylim(0, None)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.set_rlabel_position(157.5)
     axes.grid(alpha=0.4)
-    axes.legend(title="phase", fontsize=8, loc="center left", bbox_to_anchor=(1.12, 0.5))
+    axes.set_axisbelow(False)
+    for label in axes.get_yticklabels():
+        label.set_bbox({"fc": "white", "ec": "none", "pad": 1})
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.12, 0.5))
 
 
 def _draw_map(axes: Axes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
@@ -95,9 +95,7 @@ def _draw_sweep(axes: Any, sweep: Any, rows: list[dict[str, Any]]) -> None:
     value = [row["value"] for row in rows]
     mean, low, high = (100 * np.array([row[k] for row in rows]) for k in ("mean", "low", "high"))
     axes.axvline(sweep.nominal, color="0.6", ls="--", lw=1)
-    axes.errorbar(
-        value, mean, [mean - low, high - mean], fmt="o-", color="tab:red", ms=4, capsize=3
-    )
+    axes.errorbar(value, mean, [mean - low, high - mean], fmt="o-", color=ROBOT, ms=4, capsize=3)
     axes.set(xlabel=sweep.label, ylim=(-4, 104))
     axes.grid(alpha=0.3)
     axes.label_outer()

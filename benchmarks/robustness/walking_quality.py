@@ -56,6 +56,7 @@ from aslip.base.interval import Interval
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.show.palette import SERIES
 from aslip.walking import Substeps, record_substeps
 from aslip.walking.metrics import (
     airborne_share,
@@ -244,6 +245,7 @@ def picture(rows: Sequence[Mapping[str, Any]], model: Sequence[Mapping[str, Any]
     grid = figure.subplots(2, len(panels) // 2, sharex=True)
     methods = dict.fromkeys(row["method"] for row in rows)
     for axis, (name, quantity) in zip(grid.flat, panels.items(), strict=True):
+        axis.set_prop_cycle(color=SERIES)
         for method, marker in zip(methods, itertools.cycle("os^Dv<>P")):
             _draw(axis, [row for row in rows if row["method"] == method], name, marker)
         if model and name in _MODEL_LINES:

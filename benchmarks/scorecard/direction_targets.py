@@ -69,6 +69,7 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final, cast
@@ -79,6 +80,7 @@ from matplotlib.figure import Figure
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.library import GaitLibrary
+from aslip.show.palette import SERIES
 from aslip.show.plots import save_figure
 from aslip.transforms.standing import required_transitions
 from benchmarks.common import (
@@ -118,6 +120,7 @@ PAIRS: Final = (
 """Names of the targets of each panel, along its axes."""
 
 _STOPS: Final = 8  # stops at 1 m/s, each at another phase
+_LABEL = 34  # characters in a line of an axis' label
 _MARGIN = 0.08  # space around the points, of their range
 
 
@@ -238,18 +241,18 @@ def falls_text(config: Config, found: Sequence[Mapping[str, Interval]]) -> str:
 def picture(names: Sequence[str], found: Sequence[Values]) -> Figure:
     """A panel for each pair of targets, with a point for each policy."""
     targets = {claim.name: claim for claim in TARGETS}
-    figure = Figure(figsize=(9.0, 6.6), layout="constrained")
+    figure = Figure(figsize=(9.6, 7.2), layout="constrained")
     panels = figure.subplots(2, math.ceil(len(PAIRS) / 2)).flat
     for axes, pair in zip(panels, PAIRS, strict=True):
         x, y = (targets[name] for name in pair)
         for k, (name, values) in enumerate(zip(names, found, strict=True)):
             place = values[x.name].mean, values[y.name].mean
-            axes.plot(*place, "o", color=f"C{k}", label=name)
+            axes.plot(*place, "o", color=SERIES[k % len(SERIES)], label=name)
         _shade(axes, x, y)
-        axes.set_xlabel(f"{x.name} ({x.limit})")
-        axes.set_ylabel(f"{y.name} ({y.limit})")
+        axes.set_xlabel(textwrap.fill(f"{x.measure}, target {x.limit}", _LABEL))
+        axes.set_ylabel(textwrap.fill(f"{y.measure}, target {y.limit}", _LABEL))
     handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8)
+    figure.legend(handles, names, loc="outside lower center", ncols=5, fontsize=8)
     return figure
 
 
@@ -268,7 +271,7 @@ def _shade(axes: Axes, x: Claim, y: Claim) -> None:
             (y, _limit(y), axes.get_ylim()),
         )
     ]
-    axes.fill_between(met[0], *met[1], color="C2", alpha=0.15, zorder=0)
+    axes.fill_between(met[0], *met[1], color=SERIES[1], alpha=0.15, zorder=0)
 
 
 def _limit(claim: Claim) -> float:

@@ -17,6 +17,7 @@ from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.robot import CASSIE
+from aslip.show.palette import LEFT, RIGHT, ROBOT
 from aslip.walking import reset_walks, walk
 from benchmarks.common import Subject
 
@@ -201,18 +202,19 @@ def picture(walks: EstimateErrors, repeats: int) -> Figure:
     axes = figure.subplots(5, 1, sharex=True)
     for i, name in enumerate("xyz"):
         axes[i].plot(seconds, seen["truth_velocity"][:, i], "k", lw=1.6, label="truth")
-        axes[i].plot(seconds, seen["estimate_velocity"][:, i], "tab:red", lw=1, label="estimate")
+        axes[i].plot(seconds, seen["estimate_velocity"][:, i], ROBOT, lw=1, label="estimate")
         axes[i].set_ylabel(f"velocity {name} [m/s]")
     axes[0].step(seconds, seen["command"][:, 0], "0.6", lw=1, where="pre", label="command")
     axes[3].plot(seconds, seen["truth_position"][:, 2], "k", lw=1.6)
-    axes[3].plot(seconds, seen["estimate_position"][:, 2], "tab:red", lw=1)
+    axes[3].plot(seconds, seen["estimate_position"][:, 2], ROBOT, lw=1)
     axes[3].set_ylabel("height [m]")
-    for i, (side, color) in enumerate((("left", "tab:blue"), ("right", "tab:green"))):
+    for i, (side, color) in enumerate((("left", LEFT), ("right", RIGHT))):
         axes[4].plot(seconds, seen["force"][:, i], color, lw=0.8, label=f"{side} foot")
         axes[4].fill_between(
             seconds, -150 - 60 * i, -100 - 60 * i, where=seen["contact"][:, i], color=color, lw=0
         )
     axes[4].set_ylabel("ground force [N]\n(bars: estimated contact)")
+    axes[4].set_ylim(top=1.4 * seen["force"].max())  # with room for the legend
     axes[4].set_xlabel("time [s]")
     axes[0].legend(loc="upper right", ncols=3, fontsize=8)
     axes[4].legend(loc="upper right", ncols=2, fontsize=8)

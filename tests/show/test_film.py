@@ -6,13 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
 import aslip
 from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show import film
-from aslip.show.film import camera_beside, write_video
+from aslip.show.film import Frame, _write_caption, camera_beside, write_video
+from tests.show.test_ghost import instant
 
 
 def decoded_film(path: Path) -> tuple[dict, np.ndarray]:
@@ -71,6 +75,26 @@ def test_the_film_of_an_evaluation_shows_its_middle_command(
     assert drawn[0][-1].qpos[0] == pytest.approx(2.0 * 7 * CASSIE.policy_period, abs=0.05)
 
 
+def test_films_of_pages_are_webp(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
+    write_video(tmp_path / "film.webp", frames(3), 100 / 6, (64, 48))
+    with Image.open(tmp_path / "film.webp") as image:
+        assert (image.format, image.size, image.info["loop"]) == ("WEBP", (64, 48), 0)
+        assert getattr(image, "n_frames", 1) == 3
+
+
+def test_a_frame_names_time_command_and_push(library: GaitLibrary) -> None:
+    td = instant(library, 0.2, 0.5, 0.0).set("command", torch.tensor([[0.5]]))
+    td["truth", "qpos"] = torch.zeros(1, 35)
+    assert Frame.of(td, 3.0).caption == " 3.00 s    forward 0.50 m/s"
+    push = torch.tensor([[0.0, -60.0, 0.0]])
+    stands = td.clone().set("stand", torch.ones(1, 1))
+    assert Frame.of(stands, 3.0, push).caption == " 3.00 s    stand   push 60 N"
+    black = np.zeros((120, 320, 3), np.uint8)
+    corner = _write_caption(black, Frame.of(td, 3.0))[:12, :200]
+    assert corner.max() > 60
+    assert not _write_caption(black, Frame.of(td, 3.0))[24:].any()
+
+
 @pytest.mark.parametrize("camera", ["side", "follow", "front"])
 def test_the_model_is_beside_the_robot_in_the_picture(camera: str) -> None:
     """The model is on the left, as far from the middle of the picture as the robot on the right."""
@@ -100,7 +124,7 @@ def test_failed_film_leaves_no_file(
 
 
 def test_films_of_wrong_type_or_size_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"\.mp4"):
+    with pytest.raises(ConfigurationError, match=r"\.mp4 or \.webp, got .*film\.gif"):
         write_video(tmp_path / "film.gif", [], 30, (64, 48))
     with pytest.raises(ConfigurationError, match="even"):
         write_video(tmp_path / "film.mp4", [], 30, (63, 48))

@@ -16,7 +16,7 @@ from aslip.show.ghost import Ghost
 from tests.library.bent import symmetric_library
 
 
-def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:
+def instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:
     reference = vars(library.lookup(torch.tensor([[phase]]), torch.tensor([[speed]])))
     turn = torch.tensor([[np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]])
     truth = TensorDict(
@@ -26,7 +26,7 @@ def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> Te
 
 
 def test_body_follows_the_robot_at_the_height_of_the_reference(library: GaitLibrary) -> None:
-    td = _instant(library, 0.2, 1.0, 0.0)
+    td = instant(library, 0.2, 1.0, 0.0)
     ghost = Ghost.of(td)
     np.testing.assert_allclose(ghost.body[:2], [3.0, 2.0])
     assert ghost.body[2] == pytest.approx(float(td["reference", "body_position"][0, 2]))  # pyright: ignore
@@ -36,7 +36,7 @@ def test_body_follows_the_robot_at_the_height_of_the_reference(library: GaitLibr
 
 
 def test_feet_turn_with_the_robot(library: GaitLibrary) -> None:
-    straight, turned = (Ghost.of(_instant(library, 0.2, 1.0, yaw)) for yaw in (0.0, np.pi / 2))
+    straight, turned = (Ghost.of(instant(library, 0.2, 1.0, yaw)) for yaw in (0.0, np.pi / 2))
     x, y, z = straight.left - straight.body
     np.testing.assert_allclose(turned.left - turned.body, [-y, x, z], atol=1e-6)
 
@@ -48,7 +48,7 @@ def test_stance_follows_from_the_foot_velocity(
     library: GaitLibrary, phase: float, stance: tuple[bool, bool]
 ) -> None:
     """Modes of a stride: right, double, left, double."""
-    ghost = Ghost.of(_instant(library, phase, 1.0, 0.0))
+    ghost = Ghost.of(instant(library, phase, 1.0, 0.0))
     assert (ghost.left_stance, ghost.right_stance) == stance
 
 
@@ -79,7 +79,7 @@ def test_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
 def _turning(phase: float, command: tuple[float, ...], yaw: float) -> TensorDict:
     """Instant on a turning gait, with the pelvis at the yaw of the reference's body."""
     found = symmetric_library().lookup(torch.tensor([[phase]]), torch.tensor([command]))
-    td = _instant(GaitLibrary.load(), phase, 0.0, yaw + float(found.body_heading))
+    td = instant(GaitLibrary.load(), phase, 0.0, yaw + float(found.body_heading))
     return td.set("reference", vars(found))
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
-from aslip.show.plots import compare_learning
+from aslip.library import GaitLibrary
+from aslip.show.palette import LEFT, RIGHT, SERIES
+from aslip.show.plots import compare_learning, gait_figure
 from aslip.training.progress import ProgressLog
 from aslip.training.settings import SETTINGS_FILE, settings_text
 
@@ -71,3 +73,17 @@ def test_axes_fit_the_curves_and_returns_of_different_rewards_are_marked(tmp_pat
     assert lengths.get_ylabel() == "training episode length"
     assert returns.get_ylabel() == "training return, each of its own reward"
     assert returns.get_ylim()[0] < -1500
+
+
+def test_the_left_foot_is_blue_and_the_right_one_red_in_all_modes(library: GaitLibrary) -> None:
+    (axes,) = gait_figure(library.gaits[10]).axes
+    feet = {line.get_linestyle(): line.get_color() for line in axes.lines if line.get_lw() < 2}
+    assert feet == {"--": LEFT, ":": RIGHT}
+
+
+def test_at_most_five_colours_compare_trainings() -> None:
+    groups = {str(i): [run([100.0, 200.0], [50.0, 60.0])] for i in range(7)}
+    lines = compare_learning(groups).axes[0].lines
+    assert [line.get_linestyle() for line in lines] == [*5 * ["-"], *2 * ["--"]]
+    assert {line.get_color() for line in lines} == {*SERIES}
+    assert not {*SERIES} & {LEFT, RIGHT}

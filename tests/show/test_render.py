@@ -15,7 +15,8 @@ from aslip.errors import RenderingError
 from aslip.robot import opengl
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
-from aslip.show.render import render_frames, spring_path
+from aslip.show.palette import ROBOT, rgba
+from aslip.show.render import add_ghost, add_line, add_push, render_frames, spring_path
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 
@@ -60,11 +61,22 @@ def test_collision_geoms_and_sites_are_hidden(standing):
 def test_ghosts_are_drawn_and_show_stance(model, standing):
     alone = drawn(standing, model=model, robot=False, **SIZE)
     stance, swing = (
-        drawn(standing, model=model, robot=False, ghosts=[g], **SIZE)
+        drawn(standing, model=model, robot=False, add=lambda s, _, g=g: add_ghost(s, g), **SIZE)
         for g in (ghost(standing), ghost(standing, right_stance=False))
     )
     assert (stance != alone).any()
     assert (stance != swing).any()
+
+
+def test_pushes_and_paths_are_drawn(model, standing):
+    def orange(add) -> int:
+        (picture,) = drawn(standing, model=model, robot=False, add=add, **SIZE)
+        return int(((picture[..., 0] > 150) & (picture[..., 2] < 90)).sum())
+
+    place, path = standing[0, :3], np.array([[-0.5, 0.0], [0.0, 0.3], [0.5, 0.0]])
+    assert orange(lambda scene, _: add_push(scene, place, np.zeros(3))) == 0
+    assert orange(lambda scene, _: add_push(scene, place, np.array([0, 60, 0]))) > 5
+    assert orange(lambda scene, _: add_line(scene, path, 4.0, rgba(ROBOT))) > 20
 
 
 @pytest.mark.parametrize("end", [[0.2, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 1.0, 0.9]])

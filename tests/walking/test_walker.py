@@ -60,6 +60,13 @@ def test_push_has_duration_and_effect(walker: Walker) -> None:
     assert walker.step().get("push", None) is None
 
 
+def test_a_push_is_seen_from_the_robot(walker: Walker) -> None:
+    """A push to the front of a robot that faces along y goes along y."""
+    walker.td["truth", "pelvis_orientation"] = torch.tensor([[0.5**0.5, 0.0, 0.0, 0.5**0.5]])
+    walker.push((60.0, 0.0, 5.0))
+    torch.testing.assert_close(walker.step()["push"], torch.tensor([[0.0, 60.0, 5.0]]))
+
+
 def test_fallen_walker_needs_reset(walker: Walker) -> None:
     walker.push((0.0, 3000.0, 0.0), 0.3)
     while not walker.fallen:

@@ -16,17 +16,15 @@ import viser
 from aslip.library import Command
 from aslip.robot import CASSIE
 from aslip.show.live.pushes import PushControls
-from aslip.show.live.server import Check, guard, one_of, switch
+from aslip.show.live.server import Check, guard, note, one_of, switch
 from aslip.show.live.steering import Steering
 from aslip.show.model_place import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push", "stand"]
 
 _LEGEND = (
-    "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
-    " right, pale in swing. A disc is the planned foothold of the foot in swing.</div>"
-    # viser's boxes beside the sliders are too narrow for four digits
-    "<style>.mantine-NumberInput-root{width:4rem!important;flex:none}</style>"
+    "Blue is the left leg, red the right, pale in swing. A disc is the planned foothold of the foot"
+    " in swing."
 )
 
 
@@ -83,7 +81,7 @@ class Controls:
         self.pushes = PushControls(gui)
         with gui.add_folder("View"):
             self.rom = gui.add_dropdown("spring-mass model", ROM_PLACES)
-            gui.add_html(_LEGEND)
+            gui.add_html(note(_LEGEND))
         buttons: dict[Click, viser.GuiButtonHandle] = {
             "pause": self.pause,
             "step": self.step,

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -15,7 +15,6 @@ from tensordict.nn import TensorDictModuleBase
 from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import Command, WalkMode, numbers
-from aslip.library.footholds import yaw_rotation
 from aslip.policy import check_policy_fits, load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
@@ -24,6 +23,7 @@ from aslip.show.live.pushes import PUSH_DURATION
 from aslip.show.live.readouts import ROBOT_LABEL, Readouts
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
+from aslip.show.live.steering import steering_head, steering_keys
 from aslip.show.pacing import Pacer
 from aslip.walking import Walker
 
@@ -33,6 +33,7 @@ _TURNS_ON_THE_GROUND = round(1.0 / CASSIE.policy_period)
 _TURNS_PER_READOUT = 6
 
 _PANEL_WIDTH = 340
+_TITLE = f"{ROBOT_LABEL}, live"
 
 
 class LivePage:
@@ -90,13 +91,17 @@ class LivePage:
         self._error = ""
         self._drawn: TensorDictBase | None = None
         self._last_status: tuple[list[tuple[str, str, str]], str] | None = None
-        self._server = start_server(host, port)
+        size = walker.library.command_size
+        self.keys = steering_keys(size, walker.can_stand)
+        """Keys that steer, in words."""
+        steering = steering_head(size, walker.can_stand)
+        self._server = start_server(host, port, _TITLE, steering)
         self._build()
 
     def _build(self) -> None:
         gui, walker = self._server.gui, self.walker
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.set_panel_label(f"{ROBOT_LABEL}, live")
+        gui.set_panel_label(_TITLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
         self.controls = Controls(
@@ -193,9 +198,7 @@ class LivePage:
     def _click(self, click: Click) -> None:
         self._error = ""
         if click == "push":
-            truth = cast("Mapping[str, torch.Tensor]", self.walker.td["truth"])
-            heading = yaw_rotation(truth["pelvis_orientation"][0].numpy())
-            self.walker.push((heading @ self.controls.pushes.force()).tolist(), PUSH_DURATION)
+            self.walker.push(self.controls.pushes.force().tolist(), PUSH_DURATION)
         elif click == "reset":
             self._reset()
         elif click == "stand":

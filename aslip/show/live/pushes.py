@@ -6,13 +6,14 @@ import numpy as np
 import viser
 
 from aslip.robot import CASSIE
-from aslip.show.live.server import Check, number_within, switch
+from aslip.show.live.server import Check, note, number_within, switch
 
 PUSH_DURATION = 4 * CASSIE.policy_period
 """Duration of a push [s], in whole policy steps."""
 
 _LIMIT, _STEP, _START = 300, 10, 120
 _TURN_STEP = 15
+_DIRECTION = "Of the force, as the robot sees it: 0 to its front, 90 to its left, -90 to its right."
 
 
 class PushControls:
@@ -24,9 +25,8 @@ class PushControls:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("Push"):
-            self.direction = gui.add_slider(
-                "direction [°]", -180, 180, _TURN_STEP, 90, hint="0 is forward, 90 is to the left"
-            )
+            self.direction = gui.add_slider("direction [°]", -180, 180, _TURN_STEP, 90)
+            gui.add_html(note(_DIRECTION))
             self.size = gui.add_slider("force [N]", 0, _LIMIT, _STEP, _START)
             self.button = gui.add_button(f"Push for {PUSH_DURATION:g} s")
 

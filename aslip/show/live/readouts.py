@@ -15,7 +15,7 @@ import viser.uplot as uplot
 from tensordict import TensorDictBase
 
 from aslip.robot import CASSIE
-from aslip.show.palette import COMMAND, MODEL, ROBOT
+from aslip.show.palette import COMMAND, ROBOT
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
 ROBOT_LABEL = CASSIE.name.capitalize()
@@ -28,8 +28,10 @@ PLOT_SPAN = 8.0
 _PLOT_HEIGHT, _PLOT_PADDING = 320, (12, 16, 0, 0)
 # the vertical axis extends beyond the curves by a margin, to a multiple of a step [m/s]
 _MARGIN, _SPEED_STEP = 0.02, 0.2
+# the model's colour in plots and bars, lighter, to be seen on black, too
+_MODEL = "#6b7a99"
 _CURVES: tuple[uplot.Series, ...] = (
-    {"label": "spring-mass model", "stroke": MODEL, "width": 1.5},
+    {"label": "spring-mass model", "stroke": _MODEL, "width": 1.5},
     {"label": ROBOT_LABEL, "stroke": ROBOT, "width": 2.0},
     {"label": "command", "stroke": COMMAND, "width": 1.5, "dash": (6.0, 4.0)},
 )
@@ -45,7 +47,7 @@ _LEGEND = f"<div style='padding:0 0.8em 0.4em;font-size:0.8em;text-align:center'
 _REDRAWS = 12
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
-_TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
+_TERM_COLOR, _ALARM_COLOR = "#9aa5b8", "#e03131"
 
 
 class Readouts:
@@ -156,9 +158,9 @@ def _bars(reward: Mapping[str, float]) -> str:
     """Table of values from 0 to 1, each with a bar."""
     rows = "".join(
         f"<tr><td style='width:8em'>{html.escape(name)}</td>"
-        "<td><div style='height:0.8em;border-radius:2px;background:#e5e7eb'>"
+        "<td><div style='height:0.8em;border-radius:2px;background:#8883'>"
         f"<div style='height:100%;border-radius:2px;width:{100 * min(max(value, 0.0), 1.0):.1f}%;"
-        f"background:{_TOTAL_COLOR if name == 'reward' else _TERM_COLOR}'></div></div></td>"
+        f"background:{_MODEL if name == 'reward' else _TERM_COLOR}'></div></div></td>"
         f"<td style='width:3em;text-align:right'>{value:.2f}</td></tr>"
         for name, value in reward.items()
     )

@@ -33,10 +33,11 @@ class RobotPage:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self._server = start_server(host, port)
+        title = f"{ROBOT_LABEL}, twin"
+        self._server = start_server(host, port, title)
         gui = self._server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.set_panel_label(f"{ROBOT_LABEL}, twin")
+        gui.set_panel_label(title)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
         self.stop = gui.add_checkbox("emergency stop", False)

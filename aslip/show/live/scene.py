@@ -144,6 +144,9 @@ _CAMERA = (2.1, 1.7, 1.1)
 _LOOK_AT = (0.0, -0.2, 0.52)
 _FIELD_OF_VIEW = 0.6
 
+# narrowest picture, width over height, with the model beside the robot and this field of view
+_NARROWEST = 0.85
+
 # opacity of the robot with the reduced-order model in its place
 _ROBOT_OPACITY = 0.35
 
@@ -162,6 +165,7 @@ class RobotScene:
     def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
+        server.on_client_connect(_keep_whole)
         self._world = server.scene.add_frame("/world", show_axes=False)
         self._floor = server.scene.add_grid(
             "/world/floor",
@@ -172,7 +176,7 @@ class RobotScene:
             section_size=_SECTION,
             section_color=_SECTION_COLOR,
             plane_color=_FLOOR_COLOR,
-            plane_opacity=1.0,
+            plane_opacity=0.15,
             shadow_opacity=0.3,
         )
         self.robot = RobotView(server.scene, model)
@@ -189,6 +193,18 @@ class RobotScene:
         # the pattern of the floor repeats after a section
         self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
         self.robot.update(qpos)
+
+
+def _keep_whole(client: viser.ClientHandle) -> None:
+    client.camera.on_update(_fit)
+
+
+def _fit(camera: viser.CameraHandle) -> None:
+    """Widen the field of view of a narrow picture, so that the robot is not cut."""
+    wider = max(1.0, _NARROWEST / camera.aspect)
+    angle = 2 * math.atan(wider * math.tan(_FIELD_OF_VIEW / 2))
+    if abs(angle - camera.fov) > 0.01:
+        camera.fov = angle
 
 
 class SceneView:

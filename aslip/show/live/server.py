@@ -11,12 +11,18 @@ of controls.
 
 from __future__ import annotations
 
+import gzip
+import html
+import io
 import ipaddress
+import json
 import math
+import re
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -26,10 +32,16 @@ from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
 from aslip.errors import ConfigurationError
+from aslip.show.palette import LEFT, MODEL, RIGHT
+
+_HEAD = Path(__file__).with_name("head.html")
+_ICON, _TITLE = re.compile(r'<link\s+rel="icon".*?>', re.DOTALL), "<title>Viser</title>"
 
 
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """Start a server.
+def start_server(
+    host: str, port: int, title: str = "", steering: Mapping[str, object] | None = None
+) -> viser.ViserServer:
+    """Start a server, without viser's lines in the terminal.
 
     A taken port and a host that is not this machine are errors; viser itself would choose another
     port, and search forever on such a host.
@@ -37,12 +49,14 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     Args:
         host: name or address of this machine to listen on.
         port: port to listen on; 0 for any free one.
+        title: title of the page.
+        steering: values of `steering_head`, for pages on which one steers.
 
     Raises:
         ConfigurationError: the host is not this machine, or the port is taken or not allowed.
     """
     _check_free(host, port)
-    with _own_origin_only(host):
+    with _own_page(host, _head(title, steering or {})), redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         server.stop()
@@ -61,9 +75,37 @@ def page_url(server: viser.ViserServer) -> str:
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
 
 
+def note(text: str) -> str:
+    """Small grey text for the panel, as HTML."""
+    return f"<div class='aslip-note'>{html.escape(text)}</div>"
+
+
+def _head(title: str, steering: Mapping[str, object]) -> str:
+    """Head of a page: title, icon, styles and script."""
+    head = _HEAD.read_text(encoding="utf-8").replace("TITLE", html.escape(title))
+    for name, color in (("LEFT", LEFT), ("RIGHT", RIGHT), ("MODEL", MODEL)):
+        head = head.replace(f"'{name}'", f"'{color.replace('#', '%23')}'")
+    for name in ("LABELS", "FIELD", "BUTTONS"):
+        head = head.replace(f"= {name}", f"= {json.dumps(steering.get(name, []))}")
+    return head
+
+
+def _add_head(response: Response, head: str) -> None:
+    """Put a head into viser's page, in the place of its title and its icon."""
+    zipped = response.headers["Content-Encoding"] == "gzip"
+    page = (gzip.decompress(response.body) if zipped else response.body).decode()
+    body = _ICON.sub("", page, count=1).replace(_TITLE, head, 1).encode()
+    response.body = gzip.compress(body, 1) if zipped else body
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
+
+
 @contextmanager
-def _own_origin_only(host: str) -> Iterator[None]:
-    """Let servers that start meanwhile refuse requests of other origins; viser has no option."""
+def _own_page(host: str, head: str) -> Iterator[None]:
+    """Give servers that start meanwhile a head, and let them refuse requests of other origins.
+
+    viser has no option for either.
+    """
     serve = websockets.serve
 
     def guarded(*args: Any, process_request: Any, **settings: Any) -> Any:
@@ -73,6 +115,8 @@ def _own_origin_only(host: str) -> Iterator[None]:
                 return connection.respond(HTTPStatus.FORBIDDEN, refusal)
             response = process_request(connection, request)
             if response is not None:
+                if response.headers.get("Content-Type", "").startswith("text/html"):
+                    _add_head(response, head)
                 # no other site may show the page under its own buttons
                 response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"
             return response

@@ -1,15 +1,15 @@
-"""Sliders of the command; for policies that walk in all directions also keys and a gamepad.
+"""Sliders, keys, touch buttons and a gamepad for the command.
 
 Robots that can stand have a button for it, which a key and the gamepad also press.
 
 Keys are those of viser's commands: the browser sends every press, and the simulation takes them
-from a queue. Gamepads are read by a script on the page, which writes the command that they ask for
-into a text field; the simulation reads that as it reads sliders.
+from a queue. Touch buttons press keys. Gamepads are read by a script on the page, `head.html`,
+which writes the command that they ask for into a hidden text field; the simulation reads that as it
+reads sliders.
 """
 
 from __future__ import annotations
 
-import html
 import math
 import queue
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from typing import Any
 import viser
 
 from aslip.library import Command
-from aslip.show.live.server import Check, number_within
+from aslip.show.live.server import Check, note, number_within
 
 _SPEED_STEP = 0.05
 _LABELS = ("forward [m/s]", "sideways [m/s]", "turn [rad/s]")
@@ -33,62 +33,31 @@ _KEYS = {
     **{"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1)},
 }
 
-# `onerror` runs the script, because browsers ignore <script> in HTML that is set later. Events of
-# keys go from the page's controls to viser's commands, which listen at the root element, then to
-# viser's camera, which moves with WASD.
-_SCRIPT = """
-(() => {
-  if (window.aslipSteering) return;
-  window.aslipSteering = true;
-  const labels = LABELS, root = document.documentElement;
-  const row = text => [...document.querySelectorAll('label')]
-    .find(label => label.textContent === text)?.parentElement?.parentElement?.parentElement;
-  const read = name => labels.map(text =>
-    Number(row(text)?.querySelector('[role=slider]')?.getAttribute(name) ?? 0));
-  const write = values => {
-    const input = row(FIELD)?.querySelector('input');
-    if (!input) return;
-    const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
-    set.call(input, values.map(value => value.toFixed(2)).join(', '));
-    input.dispatchEvent(new Event('input', {bubbles: true}));
-  };
-  document.body.addEventListener('keydown', event => {
-    const slides = event.code?.startsWith('Arrow') && event.target.closest?.('[role=slider]');
-    if (slides || (event.code === 'KeyC' && event.repeat)) event.stopPropagation();
-  });
-  root.addEventListener('keydown', event => {
-    const held = event.ctrlKey || event.metaKey || event.altKey || event.shiftKey;
-    if (!held && /^(Key[WSADQEXC]|Arrow.*)$/.test(event.code)) event.stopPropagation();
-  });
-  let moved = false, held = false;
-  const poll = () => {
-    const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad && pad.connected);
-    if (!pad) return;
-    const pressed = Boolean(pad.buttons?.[0]?.pressed);
-    if (pressed && !held)
-      root.dispatchEvent(new KeyboardEvent('keydown', {code: 'KeyC', key: 'c'}));
-    held = pressed;
-    const stick = [1, 0, 2].map(i => {
-      const value = -(pad.axes[i] ?? 0), size = Math.abs(value);
-      return size < 0.12 ? 0 : Math.sign(value) * (size - 0.12) / 0.88;
-    });
-    const any = stick.some(value => value !== 0);
-    if (!any && !moved) return;
-    moved = any;
-    const low = read('aria-valuemin'), high = read('aria-valuemax');
-    write(stick.map((share, i) => share > 0 ? share * high[i] : -share * low[i]));
-  };
-  // not with frames, which are few where the scene is drawn in software
-  setInterval(poll, 60);
-})();
-"""
+# keys of each number of the command
+_HELP = ("W S or \u2191 \u2193 forward", "A D or \u2190 \u2192 sideways", "Q E turn")
+# key, sign and name of the touch buttons, in rows of three; numbers of the command that they change
+_BUTTONS = (
+    ("Q", "\u21ba", "turn left"), ("W", "\u2191", "forward"), ("E", "\u21bb", "turn right"),
+    ("A", "\u2190", "left"), ("X", "stop", "stop"), ("D", "\u2192", "right"),
+    ("C", "stand", "stand, or walk"), ("S", "\u2193", "backward"),
+)  # fmt: skip
 
-_HELP = (
-    "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Keys: W S or \u2191 \u2193"
-    " forward, A D or \u2190 \u2192 sideways, Q E turn, X stop. Gamepad: left stick walks, right"
-    " stick turns.STANDING</div>"
-)
-_STAND_HELP = " C or the gamepad's first button: stand, and walk again."
+
+def steering_keys(numbers: int, stands: bool) -> str:
+    """Keys that steer, in words.
+
+    Args:
+        numbers: numbers of a command.
+        stands: True for robots that can stand.
+    """
+    return ", ".join([*_HELP[:numbers], "X stop", *["C stand, or walk"] * stands])
+
+
+def steering_head(numbers: int, stands: bool) -> dict[str, object]:
+    """Values that the script in `head.html` needs to steer; see `steering_keys`."""
+    own = {"X", *"C" * stands, *(key for key, (axis, _) in _KEYS.items() if axis < numbers)}
+    buttons = [button if button[0] in own else ("", "", "") for button in _BUTTONS]
+    return {"LABELS": _LABELS[:numbers], "FIELD": _FIELD, "BUTTONS": buttons}
 
 
 class Steering:
@@ -108,33 +77,31 @@ class Steering:
         command: Sequence[float],
         stands: bool = False,
     ) -> None:
-        labels = ("command [m/s]",) if len(limits) == 1 else _LABELS[: len(limits)]
         self.sliders = [
             gui.add_slider(label, *ends, _SPEED_STEP, value)
-            for label, ends, value in zip(labels, limits, command, strict=True)
+            for label, ends, value in zip(_LABELS, limits, command, strict=False)
         ]
         """A slider for each number of a command."""
-        self.field: viser.GuiInputHandle[str] | None = None
-        """Text field of the command that a gamepad asks for; None with forward speed only."""
+        self.field = gui.add_text(_FIELD, _text(command))
+        """Hidden text field of the command that a gamepad asks for."""
         self._presses: queue.SimpleQueue[tuple[int, float] | None] = queue.SimpleQueue()
         self.keys: dict[str, Callable[[], object]] = {}
         """Function to call at each press of a key, by the uuid of its command."""
-        if len(limits) > 1:
-            self._add_keys(gui)
-            self.field = gui.add_text(_FIELD, _text(command), hint="forward, sideways, turn")
-            help_text = _HELP.replace("STANDING", _STAND_HELP if stands else "")
-            gui.add_html(help_text + _image())
+        self._add_keys(gui)
+        pad = "left stick walks" + ", right stick turns" * (len(limits) > 2)
+        pad += ", first button stands" * stands
+        gui.add_html(note(f"Keys: {steering_keys(len(limits), stands)}. Gamepad: {pad}."))
         self.stand = gui.add_button(_STAND, icon=viser.Icon.HAND_STOP) if stands else None
         """Button of the stand command; None for robots that cannot."""
-        self._known = "" if self.field is None else self.field.value
+        self._known = self.field.value
 
     def _add_keys(self, gui: viser.GuiApi) -> None:
         """Add commands whose keys change the command by steps, or stop."""
         for key, (axis, sign) in _KEYS.items():
             change = sign * _CHANGES[axis]
-            self.add_key(
-                gui, f"{_LABELS[axis]} {change:+g}", key, partial(self._presses.put, (axis, change))
-            )
+            if axis < len(self.sliders):
+                press = partial(self._presses.put, (axis, change))
+                self.add_key(gui, f"{_LABELS[axis]} {change:+g}", key, press)
         self.add_key(gui, "stop", "X", partial(self._presses.put, None))
 
     def add_key(self, gui: viser.GuiApi, label: str, key: Any, press: Callable[[], object]) -> None:
@@ -150,12 +117,10 @@ class Steering:
 
     def checks(self) -> dict[str, Check]:
         """Checks of the values that visitors send, by the uuid of the control."""
-        found: dict[str, Check] = {
-            slider._impl.uuid: number_within(slider.min, slider.max) for slider in self.sliders
+        return {
+            **{s._impl.uuid: number_within(s.min, s.max) for s in self.sliders},
+            self.field._impl.uuid: self._checked_text,
         }
-        if self.field is not None:
-            found[self.field._impl.uuid] = self._checked_text
-        return found
 
     def show_standing(self, stand: bool) -> None:
         """Label the button with the command that it gives."""
@@ -165,8 +130,6 @@ class Steering:
 
     def command(self) -> Command:
         """Present command; a new text moves the sliders, moved sliders change the text."""
-        if self.field is None:
-            return self.sliders[0].value
         # read once: a visitor may change it at any time
         text = self.field.value
         if text != self._known:
@@ -178,7 +141,7 @@ class Steering:
         values = [float(slider.value) for slider in self.sliders]
         if (shown := _text(values)) != self._known:
             self.field.value = self._known = shown
-        return tuple(values)
+        return tuple(values) if len(values) > 1 else values[0]
 
     def _press(self, change: tuple[int, float] | None) -> None:
         """Move the slider of a pressed key within its range; all to zero for None."""
@@ -208,10 +171,3 @@ def _numbers(text: str) -> list[float]:
 
 def _text(command: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in command)
-
-
-def _image() -> str:
-    """Invisible image that cannot be loaded, so that its error handler runs the script."""
-    labels = "[" + ", ".join(f"'{label}'" for label in _LABELS) + "]"
-    script = _SCRIPT.replace("LABELS", labels).replace("FIELD", f"'{_FIELD}'")
-    return f"<img src='data:,' style='display:none' onerror=\"{html.escape(script)}\">"

@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from aslip.errors import ConfigurationError
+from aslip.robot import CASSIE
 from aslip.transforms.rotation import vertical_quaternion
 from benchmarks.directions import figure_of_eight
 from tests.helpers import limp
@@ -50,8 +51,12 @@ def test_a_path_is_walked_over_the_estimate(
             figure_of_eight.main(config, limp())
     else:
         figure_of_eight.main(config, limp())
-    # every other one of 15 policy steps
-    assert len(film.call_args.args[1]) == 8
+    # every fourth one of 15 policy steps, at double speed, with the eight on the floor
+    _, filmed, rate, look = film.call_args.args
+    assert len(filmed) == 4
+    assert rate == pytest.approx(2 / (4 * CASSIE.policy_period))
+    assert look.height == 720
+    np.testing.assert_allclose(np.abs(look.path).max(axis=0), [3, 6], atol=1e-3)
     (row,) = written("figure_of_eight")["rows"]
     assert row["time"] == pytest.approx(0.45)
     assert not row["fell"]

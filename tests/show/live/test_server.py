@@ -41,13 +41,18 @@ def test_host_must_be_this_machine(host, monkeypatch):
         start_server(host, 0)
 
 
-def test_page_answers_at_its_url_and_frees_its_port():
-    server = start_server("127.0.0.1", 0)
+def test_page_answers_at_its_url_and_frees_its_port(capsys):
+    server = start_server("127.0.0.1", 0, "Cassie, twin")
     port = server.get_port()
+    assert capsys.readouterr().out == ""
     try:
         assert page_url(server) == f"http://127.0.0.1:{port}"
         with urllib.request.urlopen(page_url(server)) as answer:
-            assert b"<html" in answer.read(2000).lower()
+            head = answer.read(6000)
+            assert b"<html" in head
+            assert b"<title>Cassie, twin</title>" in head
+            assert head.count(b'rel="icon"') == 1
+            assert b"labels = [], " in head  # nothing to steer
             # another site cannot show it, either
             assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     finally:

@@ -35,7 +35,6 @@ def test_texts_of_keys_and_gamepads_move_the_sliders_and_sliders_change_the_text
     page: LivePage,
 ) -> None:
     field, sliders = page.controls.steering.field, page.controls.steering.sliders
-    assert field is not None
     assert [slider.value for slider in sliders] == pytest.approx([0.2, 0.0, 0.0])
     for slider, value in zip(sliders, (0.4, -0.1, 0.3), strict=True):
         slider.value = value
@@ -81,9 +80,7 @@ def test_every_press_of_a_key_counts_however_slow_the_simulation_is(page: LivePa
             visitor.send(type="CommandTriggerMessage", uuid=uuid)
         press("stop")
     assert page.walker.command == (0.0, 0.0, 0.0)
-    field = page.controls.steering.field
-    assert field is not None
-    assert field.value == "0.00, 0.00, 0.00"
+    assert page.controls.steering.field.value == "0.00, 0.00, 0.00"
 
 
 # ------------------------------------------------------------------------ standing
@@ -102,9 +99,11 @@ def test_a_button_and_a_key_let_robots_stand_that_can(
     page: LivePage, standing_walker: Walker
 ) -> None:
     assert page.controls.steering.stand is None
+    assert page.keys.endswith("Q E turn, X stop")
     standing = LivePage(standing_walker, port=0)
     button = standing.controls.steering.stand
     assert button is not None
+    assert standing.keys.endswith("X stop, C stand, or walk")
     try:
         with visit(standing) as visitor:
             for stand, label in ((True, "Walk"), (False, "Stand")):
