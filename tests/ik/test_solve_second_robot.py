@@ -115,7 +115,8 @@ def test_second_robot_stands_and_carries_a_load(robot: Robot, kinematics: Kinema
 
 def test_motions_are_tabulated_for_a_second_robot(robot: Robot, tmp_path: Path) -> None:
     walk = PendulumWalk(speed=0.3, height=0.78, width=0.2, clearance=0.1)
-    library = GaitLibrary.from_motions([walk], robot, samples=16, torque_jumps=True)
+    with pytest.warns(UserWarning, match="that of the only motion"):
+        library = GaitLibrary.from_motions([walk], robot, samples=16, torque_jumps=True)
     library.save(tmp_path / "biped.npz")
     loaded = GaitLibrary.load(tmp_path / "biped.npz", robot)
     phase = torch.arange(16, dtype=torch.float64)[:, None] / 16

@@ -33,7 +33,11 @@ from tests.helpers import MakeEnv, limp
     ("function", "wrong", "message"),
     [
         (aslip.make_env, {"num_envs": "8"}, "num_envs must be a whole number of 1 .*, got '8'"),
-        (aslip.make_env, {"backend": 3}, "backend must be one of .'batch', 'dm_control', 'warp'., got 3"),
+        (
+            aslip.make_env,
+            {"backend": 3},
+            "backend must be one of .*'warp'., got 3",
+        ),
         (aslip.make_env, {"library": "gaits"}, "got 'gaits'; aslip.GaitLibrary.load makes one"),
         (aslip.make_env, {"drop": [3]}, r"drop must be Iterable\[str\], got \[3\]"),
         (aslip.make_env, {"replace": {"noise": 3}}, "replace must be Mapping"),

@@ -1,0 +1,73 @@
+"""Program that walks robots on a simulated device, and prints what of each step visits the host.
+
+A process of its own: the device would stay known to torch in all later tests.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import torch
+from torch import Tensor
+
+import aslip
+from aslip.envs import StackEnv, default_stack, directions_stack, randomise_stack, warp
+from aslip.policy import load_policy
+from aslip.sim import Snapshot
+from aslip.sim.warp import WarpSimulations
+from aslip.transforms import device_estimator
+from tests.elsewhere import DEVICE, VISITS, Elsewhere, OnElsewhere, here, there
+
+
+class _Simulations(WarpSimulations):
+    """Simulations on the CPU whose tensors are elsewhere."""
+
+    def __init__(
+        self, num: int, model: Any, place: torch.device, *args: Any, **limits: Any
+    ) -> None:
+        super().__init__(num, model, torch.device("cpu"), *args, **limits)
+        self.snapshot = Snapshot(**there(vars(self.snapshot)))
+        self.packets = there(self.packets)
+
+    def reset(self, ids: Tensor, qpos: Tensor | None = None, qvel: Tensor | None = None) -> None:
+        super().reset(*here((ids, qpos, qvel)))
+
+    def advance(self, motor_target: Tensor, push: Tensor | None = None) -> Tensor:
+        return Elsewhere(super().advance(*here((motor_target, push))))
+
+    def write_fields(self, ids: Tensor, fields: Any) -> None:
+        super().write_fields(here(ids), here(dict(fields)))
+
+
+def _walk(env: StackEnv, policy: Any) -> list[list[str]]:
+    """Visits of the host in each policy step; a robot's episode ends in the second one."""
+    td, visits = env.reset(), []
+    for step in range(3):
+        VISITS.clear()
+        td = policy(td)
+        if step == 1:
+            td["steps_left"] = torch.ones_like(td["steps_left"]) if "steps_left" in td else None
+        _, td = env.step_and_maybe_reset(td)
+        visits.append(list(VISITS))
+    assert all(entry.device == DEVICE for entry in td.values(True, True))
+    return visits
+
+
+def main() -> None:
+    """Walk on two stacks."""
+    step, generator = device_estimator.step, torch.Generator
+    warp.WarpSimulations = _Simulations
+    warp.check_device = lambda _: DEVICE
+    device_estimator.step = lambda *arrays: step(*here(list(arrays)))
+    torch.Generator = lambda *_: generator()  # pyright: ignore
+    stacks = {"straight": default_stack(), "directions": directions_stack()}
+    with OnElsewhere(), torch.no_grad():
+        for name, stack in stacks.items():
+            env = aslip.make_env("warp", num_envs=3, seed=0, stack=randomise_stack(stack))
+            assert env.device == DEVICE
+            print(json.dumps(_walk(env, load_policy(name).to(DEVICE))))
+
+
+if __name__ == "__main__":
+    main()
