@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from aslip.base.arrays import Array, contiguous, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation.filter import ContactFilter, FilterInput, FilterNoise, P, V
+from aslip.estimation.filter import ContactFilter, FilterInput, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
+from aslip.estimation.noise import FilterNoise
 from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
 from aslip.estimation.state import Estimate, Tracking
 from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot

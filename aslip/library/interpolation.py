@@ -37,9 +37,8 @@ class CommandGrid(nn.Module):
             self.register_buffer(f"_axis{i}", torch.from_numpy(np.array(axis)), persistent=False)
         ends = torch.tensor(np.array([[axis[i] for axis in axes] for i in (0, -1)]))
         self.register_buffer("_ends", ends, persistent=False)
-        self._cut = False
-        if missing is not None and missing.any():
-            self._cut = True
+        self._cut = missing is not None and bool(missing.any())
+        if missing is not None and self._cut:
             self._axes, self._present = tuple(axes), ~missing.reshape([len(axis) for axis in axes])
             self._cut_at_hull(missing)
 
@@ -50,10 +49,9 @@ class CommandGrid(nn.Module):
         mesh = np.meshgrid(*axes, indexing="ij")
         gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
         self._beyond = np.flatnonzero(reached_corners(axes, *gauge).ravel() & missing)
+        filled = np.concatenate([np.flatnonzero(~missing), self._beyond])
         rows = np.zeros(len(missing), dtype=int)
-        rows[np.concatenate([np.flatnonzero(~missing), self._beyond])] = np.arange(
-            np.count_nonzero(~missing) + len(self._beyond)
-        )
+        rows[filled] = np.arange(len(filled))
         centre = np.array([axis[0] for axis in self._axes])  # of axes of one value
         centre[wide] = gauge[1]
         normals = np.zeros((len(gauge[0]), len(centre)))

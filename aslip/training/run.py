@@ -8,12 +8,10 @@
     library.npz         copy of the gaits that it follows, if they are no shipped ones
     films/              films of evaluations, with a logger that gets them
 
-Files are written under a temporary name and then renamed, except for the CSV, which grows by whole
-rows.
+Files are written under a temporary name and renamed, but for the CSV, which grows by whole rows.
 
-On a full disk, training continues with a warning. Checkpoints on the disk stay intact; rows wait in
-memory until a later attempt succeeds. The run ends with an error only if the last checkpoint cannot
-be written.
+On a full disk, training continues with a warning. Rows wait in memory, and checkpoints on the disk
+stay intact. The run ends with an error only if the last checkpoint cannot be written.
 
 TorchRL's `Checkpoint` and `CheckpointRotation` (0.14.1) are not used: they keep no hashes, do not
 fall back when the newest file is damaged, and read files that may hold pickles.
