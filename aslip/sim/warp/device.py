@@ -8,7 +8,7 @@ from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
 
 # captured solvers need conditional nodes of graphs
-_LEAST_DRIVER = (12, 4)
+_LEAST_DRIVER: tuple[int, ...] = (12, 4)
 
 
 def check_device(device: str | torch.device) -> torch.device:
@@ -32,7 +32,7 @@ def check_device(device: str | torch.device) -> torch.device:
             " device='cpu', which is for tests, or backend='batch'"
         )
     wp.init()
-    driver = wp.get_cuda_driver_version() or (0, 0)
+    driver: tuple[int, ...] = wp.get_cuda_driver_version() or (0, 0)
     if driver < _LEAST_DRIVER:
         raise ConfigurationError(
             f"the GPU's driver knows CUDA {'.'.join(map(str, driver))}; physics needs one of"
