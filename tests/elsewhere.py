@@ -6,7 +6,7 @@ Numbers live on the CPU; what would wait for a GPU, or copy from it, is noted in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -35,6 +35,30 @@ class _Backend(_DummyBackendModule):
 
 _setup_privateuseone_for_python_backend(PLACE, backend_module=_Backend())
 DEVICE = torch.device(PLACE, 0)
+
+
+# address of a generator of the device -> it; torch passes others that share its state
+_DRAWING: dict[int, torch.Generator] = {}
+
+
+class Generator(torch.Generator):
+    """Random numbers of a device, which torch makes on the CPU."""
+
+    def __new__(cls, place: torch.device | str = "cpu") -> Self:
+        made = super().__new__(cls)
+        made.place = torch.device(place)
+        if made.place == DEVICE:
+            _DRAWING[made._cdata] = made
+        return made
+
+    @property
+    def device(self) -> torch.device:
+        return self.place
+
+    def clone_state(self) -> torch.Generator:
+        clone = Generator(self.place)
+        clone.set_state(self.get_state())
+        return clone
 
 
 class Elsewhere(Tensor):
@@ -91,6 +115,8 @@ def _run(function: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
     if kwargs.get("device") is not None:
         moved = torch.device(kwargs["device"]).type == PLACE
         kwargs = {**kwargs, "device": torch.device("cpu")}
+    if moved and (generator := kwargs.get("generator")) is not None:
+        assert generator._cdata in _DRAWING, f"{function} draws from the CPU"
     result = function(*here(args), **here(kwargs))
     if name.endswith("_") and not name.startswith("_"):
         return args[0]

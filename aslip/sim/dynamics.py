@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import mujoco
 import numpy as np
@@ -79,10 +79,13 @@ class Dynamics:
             ConfigurationError: a value is outside the parameter's limits; all values stay as they
                 are.
         """
-        checked = {name: self._checked(name, ids, value) for name, value in values.items()}
-        changed = {name for name in checked if (checked[name] != self.values[name][ids]).any()}
+        rows = {name: self._as_rows(name, ids, value) for name, value in values.items()}
+        for name in _names_of_true({name: _outside(name, value) for name, value in rows.items()}):
+            self._refuse(name, ids, rows[name])
+        rounded = {name: self._rounded(name, value) for name, value in rows.items()}
+        changed = _names_of_true({n: value != self.values[n][ids] for n, value in rounded.items()})
         for name in changed:
-            self.values[name][ids] = checked[name]
+            self.values[name][ids] = rounded[name]
         return self.fields(ids, changed)
 
     def fields(self, ids: Array, parameters: Iterable[str] = DYNAMICS) -> dict[str, Array]:
@@ -111,30 +114,48 @@ class Dynamics:
             rows[:, 2] *= xp.cos(of["slope"])
         return rows
 
-    def _checked(self, name: str, ids: Array, given: Any) -> Array:
-        parameter = parameter_named(name)
+    def _as_rows(self, name: str, ids: Array, given: Any) -> Array:
+        """Values (k,) in double precision."""
+        parameter_named(name)
         value = given if hasattr(given, "device") else np.asarray(given)
         if tuple(value.shape) not in ((), tuple(ids.shape)):
             raise ShapeError(
                 f"{name} must be one number or have shape {ids.shape}, got shape {value.shape}"
             )
         value = self._arranged(value.astype(np.float64)) if is_numpy(value) else value.double()
-        xp = namespace(value)
-        value = copied(xp.broadcast_to(value, ids.shape))
-        low, high, nominal = (
-            np.float32(x) for x in (parameter.low, parameter.high, self.nominal[name])
+        return copied(namespace(value).broadcast_to(value, ids.shape))
+
+    def _refuse(self, name: str, ids: Array, value: Array) -> NoReturn:
+        """Name the first robot whose value is outside the limits."""
+        parameter = DYNAMICS[name]
+        first = int(_outside(name, value).nonzero()[0][0])
+        raise ConfigurationError(
+            f"{name} of robot {ids[first]} must be from {parameter.low:g} to"
+            f" {parameter.high:g} ({parameter.meaning}), got {value[first]:g}"
         )
-        single = _single(value)
-        wrong = ~((single >= low) & (single <= high))
-        if wrong.any():
-            first = int(wrong.nonzero()[0][0])
-            raise ConfigurationError(
-                f"{name} of robot {ids[first]} must be from {parameter.low:g} to"
-                f" {parameter.high:g} ({parameter.meaning}), got {value[first]:g}"
-            )
+
+    def _rounded(self, name: str, value: Array) -> Array:
+        """Delays in whole physics steps, and the nominal value for those equal to it."""
+        xp = namespace(value)
         if name == "torque_delay":
             value = xp.round(value / self._timestep) * self._timestep
-        return xp.where(_single(value) == nominal, self.nominal[name], value)
+        nominal = self.nominal[name]
+        return xp.where(_single(value) == np.float32(nominal), nominal, value)
+
+
+def _outside(name: str, value: Array) -> Array:
+    """True where a value is outside the limits of a parameter, or NaN."""
+    parameter, single = DYNAMICS[name], _single(value)
+    return ~((single >= np.float32(parameter.low)) & (single <= np.float32(parameter.high)))
+
+
+def _names_of_true(flags: Mapping[str, Array]) -> list[str]:
+    """Names of the flags (k,) that are true for a robot.
+
+    They are read as one number, because each number that is read waits for a device.
+    """
+    bits = int(sum(flag.any() * 2**k for k, flag in enumerate(flags.values())))
+    return [name for k, name in enumerate(flags) if bits >> k & 1]
 
 
 # overflow is beyond all limits

@@ -54,7 +54,7 @@ class SeededTransform(Transform):
     def clone(self) -> Self:
         """Copy without an environment, with random numbers of its own."""
         copied = super().clone()
-        copied.generator = torch.Generator()
+        copied.generator = torch.Generator(self.place)
         copied.set_seed(copied.generator.seed())
         return copied
 

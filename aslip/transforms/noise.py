@@ -80,7 +80,7 @@ class ObservationNoise(SeededTransform):
         seeds = torch.randint(2**62, (2, len(CASSIE.noise_channels)), generator=self.generator)
         self._of_steps, self._of_resets = (
             {
-                sensor: torch.Generator().manual_seed(value)
+                sensor: torch.Generator(self.place).manual_seed(value)
                 for sensor, value in zip(CASSIE.noise_channels, row, strict=True)
             }
             for row in seeds.tolist()

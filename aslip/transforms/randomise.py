@@ -158,4 +158,4 @@ def _draw(shape: torch.Size, names: Sequence[str], generator: torch.Generator) -
 def _aside(generator: torch.Generator) -> torch.Generator:
     """Generator seeded by the state of another generator, which does not change."""
     seed = torch.randint(2**62, (), generator=generator.clone_state())
-    return torch.Generator().manual_seed(int(seed))
+    return torch.Generator(generator.device).manual_seed(int(seed))

@@ -12,12 +12,19 @@ import torch
 from torch import Tensor
 
 import aslip
-from aslip.envs import StackEnv, default_stack, directions_stack, randomise_stack, warp
+from aslip.envs import (
+    MAX_EPISODE_STEPS,
+    StackEnv,
+    default_stack,
+    directions_stack,
+    randomise_stack,
+    warp,
+)
 from aslip.policy import load_policy
 from aslip.sim import Snapshot
 from aslip.sim.warp import WarpSimulations
 from aslip.transforms import device_estimator
-from tests.elsewhere import DEVICE, VISITS, Elsewhere, OnElsewhere, here, there
+from tests.elsewhere import DEVICE, VISITS, Elsewhere, Generator, OnElsewhere, here, there
 
 
 class _Simulations(WarpSimulations):
@@ -27,8 +34,12 @@ class _Simulations(WarpSimulations):
         self, num: int, model: Any, place: torch.device, *args: Any, **limits: Any
     ) -> None:
         super().__init__(num, model, torch.device("cpu"), *args, **limits)
-        self.snapshot = Snapshot(**there(vars(self.snapshot)))
-        self.packets = there(self.packets)
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(**there(vars(super().snapshot())))
+
+    def packets(self) -> Any:
+        return there(dict(super().packets()))
 
     def reset(self, ids: Tensor, qpos: Tensor | None = None, qvel: Tensor | None = None) -> None:
         super().reset(*here((ids, qpos, qvel)))
@@ -47,20 +58,22 @@ def _walk(env: StackEnv, policy: Any) -> list[list[str]]:
         VISITS.clear()
         td = policy(td)
         if step == 1:
-            td["steps_left"] = torch.ones_like(td["steps_left"]) if "steps_left" in td else None
+            td["step_count"][1] = MAX_EPISODE_STEPS - 1
         _, td = env.step_and_maybe_reset(td)
         visits.append(list(VISITS))
+        if step == 1:
+            assert here(td["step_count"])[:, 0].tolist() == [2, 0, 2]
     assert all(entry.device == DEVICE for entry in td.values(True, True))
     return visits
 
 
 def main() -> None:
     """Walk on two stacks."""
-    step, generator = device_estimator.step, torch.Generator
+    step = device_estimator.step
     warp.WarpSimulations = _Simulations
     warp.check_device = lambda _: DEVICE
     device_estimator.step = lambda *arrays: step(*here(list(arrays)))
-    torch.Generator = lambda *_: generator()  # pyright: ignore
+    torch.Generator = Generator
     stacks = {"straight": default_stack(), "directions": directions_stack()}
     with OnElsewhere(), torch.no_grad():
         for name, stack in stacks.items():
