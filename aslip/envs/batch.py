@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 
+from aslip.base.arrays import Array
 from aslip.base.checks import check_count
 from aslip.envs.simulated_env import SimulatedEnv
 from aslip.robot import CASSIE, Robot
@@ -20,7 +21,51 @@ MAX_BATCH_ENVS: Final = 65_536
 error, and would fill the memory before failing."""
 
 
-class BatchEnv(SimulatedEnv):
+class SimulationsEnv(SimulatedEnv):
+    """N robots in `simulations`, which have the methods of `aslip.sim.SimulationPool`."""
+
+    simulations: Any
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """See `SimulatedEnv.model`; without visual geoms."""
+        return self.simulations.model
+
+    def states(self) -> np.ndarray:
+        """See `SimulatedEnv.states`."""
+        return self.simulations.states()
+
+    def set_states(self, states: np.ndarray) -> None:
+        """See `SimulatedEnv.set_states`."""
+        self.simulations.set_states(states)
+
+    def watch(self, index: int | None) -> None:
+        """See `SimulatedEnv.watch`."""
+        self.simulations.watch(index)
+
+    @property
+    def watched(self) -> np.ndarray:
+        """See `SimulatedEnv.watched`."""
+        return self.simulations.watched
+
+    def packets(self) -> Mapping[str, Array]:
+        """See `RobotEnv.packets`."""
+        return self.simulations.packets()
+
+    def _write_fields(self, ids: Array, fields: Mapping[str, Array]) -> None:
+        self.simulations.write_fields(ids, fields)
+
+    def _advance(self, motor_target: Array, push: Array | None) -> Array:
+        return self.simulations.advance(motor_target, push)
+
+    def _restart(self, ids: Array, qpos: Array | None, qvel: Array | None) -> None:
+        self.simulations.reset(ids, qpos, qvel)
+
+    def _snapshot(self) -> Snapshot:
+        return self.simulations.snapshot()
+
+
+class BatchEnv(SimulationsEnv):
     """N robots on `mujoco.batch`; see `SimulatedEnv` for the keys.
 
     Args:
@@ -50,46 +95,12 @@ class BatchEnv(SimulatedEnv):
         self._watched_robot: int | None = None
         super().__init__(num_envs, robot, self.simulations.command_size, drive)
 
-    @property
-    def model(self) -> mujoco.MjModel:
-        """See `SimulatedEnv.model`; without visual geoms."""
-        return self.simulations.model
-
-    def states(self) -> np.ndarray:
-        """See `SimulatedEnv.states`."""
-        return self.simulations.states()
-
-    def set_states(self, states: np.ndarray) -> None:
-        """See `SimulatedEnv.set_states`."""
-        self.simulations.set_states(states)
-
     def watch(self, index: int | None) -> None:
         """See `SimulatedEnv.watch`."""
-        self.simulations.watch(index)
+        super().watch(index)
         self._watched_robot = index
-
-    @property
-    def watched(self) -> np.ndarray:
-        """See `SimulatedEnv.watched`."""
-        return self.simulations.watched
-
-    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
-        self.simulations.write_fields(ids, fields)
 
     def _lengthen_memory(self, delay: float) -> None:
         model = with_longer_memory(self.model, delay, visual=False, robot=self.robot)
         self.simulations = SimulationPool(self.num_envs, model=model, **self._settings)
         self.simulations.watch(self._watched_robot)
-
-    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
-        return self.simulations.advance(motor_target, push)
-
-    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
-        self.simulations.reset(ids, qpos, qvel)
-
-    def _snapshot(self) -> Snapshot:
-        return self.simulations.snapshot()
-
-    def packets(self) -> dict[str, np.ndarray]:
-        """See `RobotEnv.packets`."""
-        return self.simulations.packets()

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from aslip.base.checks import check_count
-from aslip.envs.batch import MAX_BATCH_ENVS
-from aslip.envs.simulated_env import SimulatedEnv
+from aslip.envs.batch import MAX_BATCH_ENVS, SimulationsEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
-from aslip.sim import Snapshot
 from aslip.sim.dynamics import with_longer_memory
 from aslip.sim.warp import CONSTRAINTS, CONTACTS, WarpSimulations, check_device
 
@@ -26,8 +22,10 @@ _MOST_OVERFLOWS = 1e-3
 _LOOK_EVERY = 200
 
 
-class WarpEnv(SimulatedEnv):
+class WarpEnv(SimulationsEnv):
     """N robots on MuJoCo Warp; see `SimulatedEnv` for the keys. Entries stay on the device.
+
+    Only `states` and `watched` visit the host.
 
     States are single precision. The episode of a robot whose contacts or constraints overflow their
     memory ends like that of one that diverged; `overflows` counts them.
@@ -68,35 +66,9 @@ class WarpEnv(SimulatedEnv):
         super().__init__(num_envs, robot)
 
     @property
-    def model(self) -> mujoco.MjModel:
-        """See `SimulatedEnv.model`; without visual geoms."""
-        return self.simulations.model
-
-    @property
     def overflows(self) -> int:
         """Number of policy steps in which a robot's contacts overflowed since construction."""
         return int(self.simulations.overflows.sum())
-
-    def states(self) -> np.ndarray:
-        """See `SimulatedEnv.states`; they visit the host."""
-        return self.simulations.states()
-
-    def set_states(self, states: np.ndarray) -> None:
-        """See `SimulatedEnv.set_states`."""
-        self.simulations.set_states(states)
-
-    def watch(self, index: int | None) -> None:
-        """See `SimulatedEnv.watch`."""
-        self.simulations.watch(index)
-
-    @property
-    def watched(self) -> np.ndarray:
-        """See `SimulatedEnv.watched`."""
-        return self.simulations.watched
-
-    def packets(self) -> Mapping[str, Tensor]:
-        """See `RobotEnv.packets`; live tensors on the device."""
-        return self.simulations.packets
 
     def _advance(self, motor_target: Tensor, push: Tensor | None) -> Tensor:
         self._steps += 1
@@ -109,16 +81,7 @@ class WarpEnv(SimulatedEnv):
                 f" {self.simulations.contacts}) and constraints (now"
                 f" {self.simulations.constraints}) of WarpEnv"
             )
-        return self.simulations.advance(motor_target, push)
-
-    def _restart(self, ids: Tensor, qpos: Tensor | None, qvel: Tensor | None) -> None:
-        self.simulations.reset(ids, qpos, qvel)
-
-    def _snapshot(self) -> Snapshot:
-        return self.simulations.snapshot
-
-    def _write_fields(self, ids: Tensor, fields: Mapping[str, Tensor]) -> None:
-        self.simulations.write_fields(ids, fields)
+        return super()._advance(motor_target, push)
 
     def _lengthen_memory(self, delay: float) -> None:
         # torques wait long enough; only the rows of `states` become longer

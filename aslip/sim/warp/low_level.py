@@ -21,6 +21,7 @@ from aslip.sim.warp.structs import (
     Inertial,
     Joints,
     Motors,
+    read_attitude,
     send_attitude,
     specific_force,
 )
@@ -108,10 +109,9 @@ def read_joints(
         joints.sent_position[i, packet, j] = counted
         joints.sent_velocity[i, packet, j] = float(velocity)
     if j == 0:
-        inertial.attitude[i] = wp.quat(qpos[i, 4], qpos[i, 5], qpos[i, 6], qpos[i, 3])
-        inertial.spin[i] = wp.vec3(qvel[i, 3], qvel[i, 4], qvel[i, 5])
+        read_attitude(inertial, i, qpos, qvel)
         if packet >= 0:
-            send_attitude(inertial, i, packet, gravity[i % gravity.shape[0]])
+            send_attitude(inertial, i, packet, gravity[i])
 
 
 @wp.kernel
@@ -128,9 +128,7 @@ def add_specific_force(
     """Add a substep's specific force; the packet has the mean. Count physics steps by `steps`."""
     i = wp.tid()
     motors.tick[i] += steps
-    linear = wp.vec3(qacc[i, 0], qacc[i, 1], qacc[i, 2])
-    angular = wp.vec3(qacc[i, 3], qacc[i, 4], qacc[i, 5])
-    force = specific_force(inertial, i, gravity[i % gravity.shape[0]], linear, angular)
+    force = specific_force(inertial, i, gravity[i], qacc)
     if first == 0:
         force += inertial.force[i]
     inertial.force[i] = force

@@ -11,6 +11,7 @@ from aslip.sim.warp.structs import (
     Inertial,
     Joints,
     Motors,
+    read_attitude,
     send_attitude,
     specific_force,
 )
@@ -86,14 +87,10 @@ def settle_inertial(
     i = wp.tid()
     if not restarted[i]:
         return
-    world = gravity[i % gravity.shape[0]]
-    inertial.attitude[i] = wp.quat(qpos[i, 4], qpos[i, 5], qpos[i, 6], qpos[i, 3])
-    inertial.spin[i] = wp.vec3(qvel[i, 3], qvel[i, 4], qvel[i, 5])
-    linear = wp.vec3(qacc[i, 0], qacc[i, 1], qacc[i, 2])
-    angular = wp.vec3(qacc[i, 3], qacc[i, 4], qacc[i, 5])
-    force = specific_force(inertial, i, world, linear, angular)
+    read_attitude(inertial, i, qpos, qvel)
+    force = specific_force(inertial, i, gravity[i], qacc)
     for packet in range(inertial.sent_gyro.shape[1]):
-        send_attitude(inertial, i, packet, world)
+        send_attitude(inertial, i, packet, gravity[i])
         for k in range(3):
             inertial.sent_force[i, packet, k] = force[k]
     for foot in range(2):

@@ -44,6 +44,8 @@ _LARGEST = 1e10
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
 # parameters of the low level, which are not Warp's
 _OWN = {"drive.stiffness": "stiffness", "drive.damping": "damping", "actuator_delay": "delay"}
+# of Warp's model
+_FIELDS = {field for parameter in DYNAMICS.values() for field in parameter.fields} - _OWN.keys()
 
 
 class WarpSimulations:
@@ -97,8 +99,7 @@ class WarpSimulations:
 
     def _make_arrays(self, num: int) -> None:
         undelayed = _without_delay(self.model)
-        fields = {f for p in DYNAMICS.values() for f in p.fields} - _OWN.keys()
-        batched = dict.fromkeys((*fields - {"opt.gravity"}, *_DERIVED), num)
+        batched = dict.fromkeys((*_FIELDS - {"opt.gravity"}, *_DERIVED), num)
         self.m = mjw.put_model(undelayed, batch_sizes=batched)
         self.m.opt.gravity = wp.array(np.tile(self.model.opt.gravity, (num, 1)), dtype=wp.vec3)
         self.d = mjw.make_data(undelayed, nworld=num, nconmax=self.contacts, njmax=self.constraints)
@@ -143,20 +144,15 @@ class WarpSimulations:
             "gyro": inertial.sent_gyro,
             "accelerometer": inertial.sent_force,
         }
-        self.packets: Mapping[str, Tensor] = {
-            name: wp.to_torch(sent[name]) for name in self.robot.packet_sizes
-        }
-        """Packets of the last policy period."""
+        self._packets = {name: wp.to_torch(sent[name]) for name in self.robot.packet_sizes}
         state = (
             d.qpos, d.qvel, inertial.acceleration, d.site_xpos, d.site_xmat, d.sensordata,
             inertial.ground, inertial.torque, inertial.power, inertial.largest,
         )  # fmt: skip
         snapshot = Snapshot(*(wp.to_torch(array) for array in state))
-        self.snapshot = replace(snapshot, site_xmat=snapshot.site_xmat.flatten(-2))
-        """Live tensors of the true state; `qacc` has the pelvis' only."""
-        fields = {f for p in DYNAMICS.values() for f in p.fields} - _OWN.keys()
+        self._snapshot = replace(snapshot, site_xmat=snapshot.site_xmat.flatten(-2))
         own = {name: wp.to_torch(getattr(motors, of)) for name, of in _OWN.items()}
-        self._fields = {name: wp.to_torch(_field(self.m, name)) for name in fields} | own
+        self._fields = {name: wp.to_torch(_field(self.m, name)) for name in _FIELDS} | own
 
     def _capture(self) -> None:
         """Record the graphs; kernels are compiled before, as a capture cannot load modules."""
@@ -254,6 +250,14 @@ class WarpSimulations:
     def overflows(self) -> Tensor:
         """(n,) policy steps in which contacts or constraints overflowed."""
         return self._live["overflows"]
+
+    def snapshot(self) -> Snapshot:
+        """Live tensors of the true state; `qacc` has the pelvis' only."""
+        return self._snapshot
+
+    def packets(self) -> Mapping[str, Tensor]:
+        """Live tensors of the packets of the last policy period."""
+        return self._packets
 
     def advance(self, motor_target: Tensor, push: Tensor | None = None) -> Tensor:
         """Run one policy period.

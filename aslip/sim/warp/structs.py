@@ -174,8 +174,17 @@ def send_attitude(inertial: Inertial, i: int, packet: int, gravity: wp.vec3):
 
 
 @wp.func
-def specific_force(inertial: Inertial, i: int, gravity: wp.vec3, linear: wp.vec3, angular: wp.vec3):
+def read_attitude(inertial: Inertial, i: int, qpos: wp.array2d[float], qvel: wp.array2d[float]):
+    """Read attitude and angular velocity of the pelvis."""
+    inertial.attitude[i] = wp.quat(qpos[i, 4], qpos[i, 5], qpos[i, 6], qpos[i, 3])
+    inertial.spin[i] = wp.vec3(qvel[i, 3], qvel[i, 4], qvel[i, 5])
+
+
+@wp.func
+def specific_force(inertial: Inertial, i: int, gravity: wp.vec3, qacc: wp.array2d[float]):
     """Specific force at the IMU [m/s^2, pelvis]."""
+    linear = wp.vec3(qacc[i, 0], qacc[i, 1], qacc[i, 2])
+    angular = wp.vec3(qacc[i, 3], qacc[i, 4], qacc[i, 5])
     proper = wp.quat_rotate_inv(inertial.attitude[i], linear - gravity)
     spin = inertial.spin[i]
     arm = inertial.site
