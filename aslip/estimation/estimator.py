@@ -56,6 +56,9 @@ class StateEstimator:
         place: what makes constants arrays of the packets' kind; NumPy's by default.
     """
 
+    takes_tensors = False
+    """True if packets, memory and estimates are tensors of torch."""
+
     def __init__(
         self,
         robot: Robot = CASSIE,

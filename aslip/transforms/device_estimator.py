@@ -108,6 +108,8 @@ class DeviceEstimator(StateEstimator):
         noise: noise that the filter assumes.
     """
 
+    takes_tensors = True
+
     def __init__(
         self,
         device: str | torch.device,

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.base.arrays import Array, is_numpy
+from aslip.errors import ConfigurationError
 from aslip.estimation import FAULTS, Estimate, StateEstimator, Tracking, tracking_size
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
@@ -138,15 +139,25 @@ class EstimatedState(_Estimator):
         self._command_key, self._mode_key = command_key, mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
-        self._arrays = type(self.estimator) is StateEstimator
 
     def move(self, place: torch.device) -> None:
-        """See `SeededTransform.move`."""
+        """See `SeededTransform.move`; the package's estimator becomes a `DeviceEstimator`.
+
+        Raises:
+            ConfigurationError: the estimator is another one, and takes no tensors.
+        """
         super().move(place)
+        own = self.estimator
+        if own.takes_tensors:
+            return
+        if type(own) is not StateEstimator:
+            raise ConfigurationError(
+                f"{type(own).__name__} takes arrays of NumPy; on {place} the estimator must take"
+                " tensors, as aslip.transforms.device_estimator.DeviceEstimator does"
+            )
         from aslip.transforms.device_estimator import DeviceEstimator  # needs Warp
 
-        self.estimator = DeviceEstimator(place, self.estimator.robot, self.estimator.noise)
-        self._arrays = False
+        self.estimator = DeviceEstimator(place, own.robot, own.noise)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
@@ -200,7 +211,7 @@ class EstimatedState(_Estimator):
 
     def _taken(self, value: Tensor) -> Array:
         """Numbers for the estimator, in double precision."""
-        return value.double().numpy() if self._arrays else value.double()
+        return value.double() if self.estimator.takes_tensors else value.double().numpy()
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""

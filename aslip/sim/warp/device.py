@@ -21,10 +21,10 @@ def check_device(device: str | torch.device) -> torch.device:
     with extras():
         import mujoco_warp  # noqa: F401
         import warp as wp
-    place = torch.device(device)
-    if place.type == "cpu":
-        return place
-    if place.type != "cuda":
+    kind, _, number = str(device).partition(":")
+    if kind == "cpu":
+        return torch.device("cpu")
+    if kind != "cuda" or not (number or "0").isdecimal():
         raise ConfigurationError(f"device must be 'cuda' or 'cpu', got {str(device)!r}")
     if not torch.cuda.is_available():
         raise ConfigurationError(
@@ -38,4 +38,6 @@ def check_device(device: str | torch.device) -> torch.device:
             f"the GPU's driver knows CUDA {'.'.join(map(str, driver))}; physics needs one of"
             f" {'.'.join(map(str, _LEAST_DRIVER))} or newer"
         )
-    return torch.device("cuda", place.index or 0)
+    if (index := int(number or 0)) >= (count := torch.cuda.device_count()):
+        raise ConfigurationError(f"no GPU {str(device)!r}: there are {count}, from 'cuda:0' on")
+    return torch.device("cuda", index)
