@@ -58,11 +58,6 @@ class WalkState:
         """Values (n, ...) of the swing or of the stance foot, from those (n, 2, ...) of both."""
         return values[self.rows, 1 - self.stance if swing else self.stance]
 
-    def select(self, index: int) -> WalkState:
-        """State of one robot, n = 1."""
-        kept = slice(index, index + 1)
-        return WalkState(**{f.name: getattr(self, f.name)[kept] for f in fields(self)})
-
 
 def quintic(
     start: tuple[Array, Array, Array], end: tuple[Array, Array, Array], duration: Array, time: Array
