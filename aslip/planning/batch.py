@@ -1,0 +1,223 @@
+"""Plans of all robots at once, for training: arrays of NumPy or tensors on any device.
+
+Stones are chosen one after another, not together as in `aslip.planning.planner`: the optimum
+without constraints is closed form; the next step goes to the possible stone that adds the least to
+its cost, or into the box of the limits; the rest is optimal after it. On these stones, time and
+footholds then approach their optimum in turn. The speed of the foot is limited by time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from aslip.base.arrays import Array, namespace
+from aslip.planning.plan import Plan
+from aslip.planning.program import Problem, Program, like
+from aslip.planning.state import WalkState
+from aslip.planning.stones import Stones
+
+# sweeps of projections onto the edges of a stone; one is exact on rectangles
+_PROJECTIONS = 2
+# times that time and footholds are improved on their stones
+_SWEEPS = 4
+# cost of a violated limit [1/m^2], and violation that is none [m]
+_VIOLATION, _NONE = 1e4, 1e-3
+
+
+class BatchPlanner:
+    """Footsteps of many robots.
+
+    Args:
+        program: model, limits, weights and number of steps.
+    """
+
+    def __init__(self, program: Program | None = None) -> None:
+        self.program = program or Program()
+
+    def plan(self, state: WalkState, command: Array, stones: Stones | None = None) -> Plan:
+        """Plan footsteps, see `aslip.planning.Planner.plan`."""
+        program = self.program
+        problem = program.problem(state, command)
+        xp, cost = namespace(command), program.cost(problem)
+        least, _, greatest = program.variable(problem, problem.times).T
+        variable = self._rest(cost, [], None)[0].clip(least, greatest)
+        steps: list[Array] = []
+        chosen, possible = [], []
+        height, foothold, soonest = problem.stance[:, 2], problem.stance[:, :2], least
+        for k in range(program.steps):
+            near = stones is None or k == 0
+            # the motion that later stones need is not known yet: steps to them are the command's
+            wished = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
+            box = self._box(problem, steps, variable, of_body=near)
+            if stones is None:
+                step = _clipped(wished, *box)
+            else:
+                places = self._places(problem, stones, k, foothold, wished, box)
+                stone, step, kept = self._choose(problem, stones, k, places, (foothold, height))
+                height = stones.height(stone, height)
+                possible.append(kept)
+                chosen.append(stone)
+            steps.append(step)
+            foothold = foothold + step
+            if k == 0:
+                soonest = xp.maximum(least, self._soonest(problem, foothold, height))
+                latest = xp.maximum(soonest, greatest)
+                variable = self._rest(cost, steps, None)[0].clip(soonest, latest)
+        if stones is not None:
+            standing = stones.pick(xp.stack(chosen, -1))
+            for _ in range(_SWEEPS):
+                variable, steps = self._improved(problem, cost, standing, steps)
+                variable = variable.clip(soonest, latest)
+        taken = xp.stack(steps, 1)
+        stone = xp.stack(chosen, -1) if chosen else 0 * problem.side - 1
+        kept = xp.stack(possible, -1).cumprod(-1) if possible else 0 * problem.side
+        return Plan.of(
+            program,
+            problem,
+            state,
+            command,
+            variable=variable,
+            steps=taken,
+            stones=stones,
+            chosen=stone,
+            on_stones=kept.sum(-1),
+            within_limits=soonest <= greatest + _NONE,
+            cost=program.value(cost, variable, taken),
+        )
+
+    def _improved(
+        self, problem: Problem, cost: tuple[Array, ...], standing: Stones, steps: list[Array]
+    ) -> tuple[Array, list[Array]]:
+        """Optimal t (n,), and footholds that are each optimal on its stone with the others."""
+        bend, cross, slope, slopes = cost[:4]
+        xp, steps, matrix = namespace(slopes), [*steps], 2 * self.program.matrix
+        variable = -(slope + (cross * xp.stack(steps, 1)).sum((-2, -1))) / bend
+        pull = slopes + variable[:, None, None] * cross
+        foothold = problem.stance[:, :2]
+        for k in range(len(steps)):
+            # a foothold moves by what its step gets longer and the next one shorter
+            move = np.eye(len(steps))[k] - np.eye(len(steps))[k + 1 : k + 2].sum(0)
+            force = like(move @ matrix, slopes) @ xp.stack(steps, 1)
+            force = force + (like(move, slopes)[:, None] * pull).sum(-2)
+            wished = steps[k] - force / (move @ matrix @ move).item()
+            box = self._box(problem, steps[:k], variable)
+            place = self._places(problem, standing.only(k), k, foothold, wished, box)[0][:, 0]
+            if k + 1 < len(steps):
+                steps[k + 1] = steps[k + 1] + steps[k] - place
+            steps[k] = place
+            foothold = foothold + place
+        return variable, steps
+
+    def _rest(
+        self, cost: tuple[Array, ...], steps: list[Array], variable: Array | None
+    ) -> tuple[Array, Array]:
+        """Optimal t (n,), if it is not given, and remaining steps (n, N - k, 2) after k."""
+        bend, cross, slope, slopes = cost[:4]
+        k, matrix = len(steps), 2 * self.program.matrix
+        inverse = like(np.linalg.inv(matrix[k:, k:]), slopes)
+        rest = slopes[:, k:]
+        if steps:
+            taken = namespace(slopes).stack(steps, 1)
+            rest = rest + like(matrix[k:, :k], slopes) @ taken
+            slope = slope + (cross[:, :k] * taken).sum((-2, -1))
+        at: Any = variable
+        if variable is None:
+            pull = inverse @ cross[:, k:]
+            bend = bend - (pull * cross[:, k:]).sum((-2, -1))
+            at = ((pull * rest).sum((-2, -1)) - slope) / bend
+        return at, -(inverse @ (rest + at[:, None, None] * cross[:, k:]))
+
+    def _box(
+        self, problem: Problem, steps: list[Array], variable: Array, *, of_body: bool = True
+    ) -> tuple[Array, Array, Array]:
+        """Directions ahead and outward (n, 2, 2), least and greatest next step (n, 2) along them.
+
+        The reach of the body counts if asked for: where its motion is not known yet, it does not.
+        """
+        limits, k = self.program.limits, len(steps)
+        xp, axes = namespace(variable), _axes(problem, k)
+        constant, by_time, by_step = self.program.reach(problem)
+        # the body from the next foothold, if the step were zero
+        body = constant[:, k] + variable[:, None] * by_time[:, k]
+        for j, step in enumerate(steps):
+            body = body + by_step[k, j].item() * step
+        body = xp.einsum("nij,nj->ni", axes, body)
+        reach, step = (
+            [0 * body + like(np.array(one)[:, end], body) for end in (0, 1)]
+            for one in ((limits.reach, limits.outward), (limits.length, limits.width))
+        )
+        if not of_body:
+            return axes, *step
+        low, high = xp.maximum(body + reach[0], step[0]), xp.minimum(body + reach[1], step[1])
+        # where no step suits both, the leg that is nearer to its limit
+        return axes, xp.minimum(low, step[1]), xp.maximum(xp.minimum(low, step[1]), high)
+
+    def _places(
+        self,
+        problem: Problem,
+        stones: Stones,
+        k: int,
+        foothold: Array,
+        wished: Array,
+        box: tuple[Array, Array, Array],
+    ) -> tuple[Array, Array, Array]:
+        """Nearest steps (n, m, 2) onto stones, their violations of the limits and costs (n, m)."""
+        axes, low, high = box
+        xp, limits = namespace(wished), self.program.limits
+        offsets = stones.shrunk(problem.heading[:, k : k + 1], limits.half_foot, limits.margin)
+        offsets = offsets[:, 0] - (stones.normals * foothold[:, None, None]).sum(-1)
+        inside = _clipped(wished, *box)[:, None] + 0 * stones.centres
+        for edge in [*range(offsets.shape[-1])] * _PROJECTIONS:
+            normal = stones.normals[:, :, edge]
+            beyond = ((normal * inside).sum(-1) - offsets[..., edge]).clip(0.0)
+            inside = inside - beyond[..., None] * normal
+        local = xp.einsum("nij,nmj->nmi", axes, inside)
+        beyond = (low[:, None] - local).clip(0.0) + (local - high[:, None]).clip(0.0)
+        return inside, (beyond**2).sum(-1), ((inside - wished[:, None]) ** 2).sum(-1)
+
+    def _choose(
+        self,
+        problem: Problem,
+        stones: Stones,
+        k: int,
+        places: tuple[Array, Array, Array],
+        stance: tuple[Array, Array],
+    ) -> tuple[Array, Array, Array]:
+        """Index of the best stone (n,), step to it (n, 2), and whether it is possible (n,)."""
+        (inside, violation, cost), (foothold, height) = places, stance
+        xp, weights = namespace(cost), self.program.weights
+        rise = abs(stones.heights - height[:, None]) - self.program.limits.rise
+        violation = violation + rise.clip(0.0) ** 2
+        ahead = ((stones.centres - foothold[:, None]) * problem.ahead[:, None]).sum(-1)
+        wish = (problem.ahead**2).sum(-1)[:, None]
+        stay = weights.stay * ((ahead < wish / 2) & (wish > 0))
+        cost = weights.step * cost + stay + _VIOLATION * violation
+        best = xp.where(stones.present, cost, 0 * cost + np.inf).argmin(-1)
+        rows = xp.arange(len(best), device=cost.device)
+        return best, inside[rows, best], violation[rows, best] <= _NONE**2
+
+    def _soonest(self, problem: Problem, foothold: Array, height: Array) -> Array:
+        """Least t (n,) by which the foot can be at a foothold (n, 2)."""
+        xp, fast = namespace(foothold), self.program.limits.foot_speed
+        way = foothold - problem.swing[:, :2]
+        length = ((way**2).sum(-1) + 1e-12) ** 0.5
+        speed = fast + (way * problem.velocity).sum(-1) / length
+        time = problem.shift + length / speed.clip(fast / 5)
+        down = self.program.least_time(problem, height[:, None])
+        return self.program.variable(problem, xp.maximum(time[:, None], down))[:, 0]
+
+
+def _axes(problem: Problem, k: int) -> Array:
+    """Rows (n, 2, 2) of the directions ahead and outward at a touchdown."""
+    xp, side = namespace(problem.heading), problem.side[:, k]
+    cosine, sine = xp.cos(problem.heading[:, k]), xp.sin(problem.heading[:, k])
+    return xp.stack([cosine, sine, -side * sine, side * cosine], -1).reshape(-1, 2, 2)
+
+
+def _clipped(step: Array, axes: Array, low: Array, high: Array) -> Array:
+    """Steps (n, 2) moved into boxes along axes."""
+    xp = namespace(step)
+    local = xp.einsum("nij,nj->ni", axes, step).clip(low, high)
+    return xp.einsum("nij,ni->nj", axes, local)

@@ -1,0 +1,147 @@
+"""What a planner knows of n robots, and the motion of a foot in flight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from aslip.base.arrays import Array, namespace
+from aslip.errors import ShapeError
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WalkState:
+    """State of n robots, each in its heading frame, as NumPy arrays or as tensors.
+
+    The heading frame of a robot stands on the ground at any place, with x along the robot's heading
+    and z up. Stance begins with the touchdown of the stance foot; the other foot lifts off after
+    double stance.
+
+    Raises:
+        ShapeError: an array does not have its shape.
+    """
+
+    body_position: Array
+    """(n, 3) [m]."""
+    body_velocity: Array
+    """(n, 3) [m/s]."""
+    foot_position: Array
+    """(n, 2, 3) left and right foot [m]."""
+    foot_velocity: Array
+    """(n, 2, 3) [m/s]; that of the stance foot counts as zero."""
+    foot_acceleration: Array
+    """(n, 2, 3) [m/s^2]. With the values of the last plan, a foot whose target does not change
+    stays on its path."""
+    foot_heading: Array
+    """(n, 2) direction of the toes [rad]."""
+    lift_off: Array
+    """(n, 3) where the swing foot stood last [m]."""
+    stance: Array
+    """(n,) stance foot, 0 for left and 1 for right; the one that landed last."""
+    since: Array
+    """(n,) time since its touchdown [s]."""
+
+    def __post_init__(self) -> None:
+        """Check shapes."""
+        n = len(self.since)
+        shapes = ((n, 3), (n, 3), *[(n, 2, 3)] * 3, (n, 2), (n, 3), (n,), (n,))
+        for field, shape in zip(fields(self), shapes, strict=True):
+            found = tuple(getattr(self, field.name).shape)
+            if found != shape:
+                raise ShapeError(f"{field.name} of a state must be {shape}, got {found}")
+
+    @property
+    def rows(self) -> Array:
+        """(n,) indices of the robots."""
+        return namespace(self.since).arange(len(self.since), device=self.since.device)
+
+    def of_foot(self, values: Array, *, swing: bool) -> Array:
+        """Values (n, ...) of the swing or of the stance foot, from those (n, 2, ...) of both."""
+        return values[self.rows, 1 - self.stance if swing else self.stance]
+
+
+def quintic(
+    start: tuple[Array, Array, Array], end: tuple[Array, Array, Array], duration: Array, time: Array
+) -> tuple[Array, Array, Array]:
+    """Path of least jerk between two states: position, velocity, acceleration (*b, k).
+
+    A path that is left and taken up again at any time, with what it has there, goes on unchanged.
+
+    Args:
+        start: position, velocity and acceleration at time 0, (*b, k) each [m, m/s, m/s^2].
+        end: those at the end of the duration.
+        duration: (*b,) positive [s].
+        time: (*b,) from 0 to the duration [s].
+    """
+    span = duration[..., None]
+    t = time[..., None] / span
+    (x, v, a), (x1, v1, a1) = start, end
+    v, v1, a, a1 = v * span, v1 * span, a * span**2, a1 * span**2
+    c2 = a / 2
+    # conditions at the end on the cubic, quartic and quintic term
+    p, q, r = x1 - x - v - c2, v1 - v - a, a1 - a
+    c3, c4, c5 = 10 * p - 4 * q + r / 2, -15 * p + 7 * q - r, 6 * p - 3 * q + r / 2
+    position = x + t * (v + t * (c2 + t * (c3 + t * (c4 + t * c5))))
+    velocity = v + t * (2 * c2 + t * (3 * c3 + t * (4 * c4 + t * 5 * c5)))
+    acceleration = 2 * c2 + t * (6 * c3 + t * (12 * c4 + t * 20 * c5))
+    return position, velocity / span, acceleration / span**2
+
+
+# acceleration at the top, per height and square of half the swing, of the least jerk there
+_TOP = -20 / 3
+# time of a swing before its top below which the foot goes straight down [s]
+_LATE = 0.03
+
+
+def swing(
+    foot: tuple[Array, Array, Array],
+    lift_off: Array,
+    target: Array,
+    times: tuple[Array, Array],
+    clearance: float,
+    time: Array,
+) -> tuple[Array, Array, Array]:
+    """Motion (n, 3) of feet in flight to their targets: position, velocity, acceleration.
+
+    Seen from above, a path of least jerk. Its height goes over a top in the middle of the swing, as
+    in `aslip.rom.swing`, and from there down.
+
+    Args:
+        foot: position, velocity and acceleration (n, 3) now.
+        lift_off: (n, 3) where the swing began [m].
+        target: (n, 3) where it ends [m].
+        times: (n,) times since lift-off and until touchdown [s].
+        clearance: height of the top above the higher foothold [m].
+        time: (n,) from now, up to the touchdown [s].
+    """
+    xp, (gone, left) = namespace(time), times
+    rest = xp.zeros_like(target[:, :2])
+    level = quintic(
+        (foot[0][:, :2], foot[1][:, :2], foot[2][:, :2]),
+        (target[:, :2], rest, rest),
+        left,
+        time,
+    )
+    half = (gone + left) / 2
+    to_top = half - gone
+    rising = (to_top > _LATE) & (time < to_top)
+    falling_first = to_top <= _LATE
+    top = xp.maximum(lift_off[:, 2], target[:, 2]) + clearance
+    # the height to fall from the top, not that to rise: both halves meet with equal acceleration
+    bend = _TOP * clearance / half**2
+    zero = xp.zeros_like(top)
+    now = tuple(one[:, 2] for one in foot)
+    at_top = (top, zero, bend)
+    begin = [xp.where(rising | falling_first, a, b) for a, b in zip(now, at_top, strict=True)]
+    ends = [xp.where(rising, a, b) for a, b in zip(at_top, (target[:, 2], zero, zero), strict=True)]
+    began = xp.where(rising | falling_first, zero, to_top)
+    span = xp.where(rising, to_top, left - began)
+    height = quintic(
+        (begin[0][:, None], begin[1][:, None], begin[2][:, None]),
+        (ends[0][:, None], ends[1][:, None], ends[2][:, None]),
+        span,
+        time - began,
+    )
+    position, velocity, acceleration = (
+        xp.concatenate([a, b], -1) for a, b in zip(level, height, strict=True)
+    )
+    return position, velocity, acceleration

@@ -1,0 +1,1 @@
+"""Benchmarks of the planner and of its models."""

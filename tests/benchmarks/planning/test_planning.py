@@ -1,0 +1,64 @@
+"""Benchmarks of the planner recover what is known."""
+
+import numpy as np
+
+from aslip.planning import Pendulum
+from aslip.walking import Walks
+from benchmarks.planning import models, planner
+
+
+def test_models_are_exact_on_steps_of_a_pendulum():
+    rng, pendulum = np.random.default_rng(0), Pendulum(rate=2.0)
+    now, last = rng.normal(0, 0.2, (20, 2, 2)), rng.normal(0, 0.2, (20, 2))
+    time = np.full(20, 0.4)
+    later = pendulum.flow(
+        now[:, 0], now[:, 1], last, 0 * last, np.full(20, pendulum.double_stance), time
+    )
+    steps = models.Steps(np.arange(20), time, last, now, np.stack(later, axis=1))
+    fitted = models.map_model(steps.fitted(steps.walk % 2 == 0))
+    for model in (models.pendulum_model(2.0), fitted):
+        np.testing.assert_allclose(model(steps), steps.later, atol=1e-9)
+    assert np.abs(models.pendulum_model(3.0)(steps) - steps.later).max() > 0.05
+
+
+def _gliding_walk() -> Walks:
+    """A body at 1 m/s along y, feet that touch down in turn, and a frame turned by 90 degrees."""
+    m, up = 60, np.arange(60) % 24
+    flat, arrays = np.zeros((m, 1, 3)), {}
+    force = np.zeros((m, 1, 2, 3))
+    force[:, 0, 0, 2], force[:, 0, 1, 2] = 300 * (up < 14), 300 * ((up >= 12) | (up < 2))
+    feet = np.zeros((m, 1, 2, 3))
+    feet[..., 0] = 0.03 * (np.arange(m) // 12 * 12)[:, None, None]
+    frame = np.tile([0.0, 0.0, np.pi / 2], (m, 1, 1))
+    for name in ("pelvis_position", "pelvis_velocity", "body_position", "body_velocity"):
+        arrays[name] = flat.copy()
+    arrays["pelvis_position"][:, 0, 0] = 0.03 * np.arange(m)
+    arrays["pelvis_velocity"][..., 0] = 1.0
+    rest = {"phase": np.zeros((m, 1)), "reward": np.zeros((m, 1)), "action": np.zeros((m, 1, 10))}
+    return Walks(
+        command=np.ones((m, 1)),
+        alive=np.ones((m, 1), dtype=bool),
+        pelvis_orientation=np.zeros((m, 1, 4)),
+        foot_position=feet,
+        ground_force=force,
+        body_to_foot=feet,
+        frame=frame,
+        **arrays,
+        **rest,
+    )
+
+
+def test_steps_of_a_walk_are_found_in_its_heading():
+    steps = models.steps_of(_gliding_walk(), first=5)
+    assert len(steps.time) == 3
+    np.testing.assert_allclose(steps.time, 0.36)
+    np.testing.assert_allclose(steps.later[:, 0] - steps.now[:, 0], [[0.36, 0.0]] * 3, atol=1e-9)
+    np.testing.assert_allclose(steps.now[:, 1], [[1.0, 0.0]] * 3, atol=1e-9)
+
+
+def test_the_planner_is_compared_with_brute_force(capsys):
+    planner.main(planner.Config(problems=12, stones=2))
+    shown = capsys.readouterr().out
+    assert "| problems, with all steps on stones" in shown
+    difference = float(shown.split("brute force |")[1].split("|")[0])
+    assert difference < 1e-6

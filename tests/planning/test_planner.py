@@ -1,0 +1,210 @@
+"""Exact plans: optimal over stones, within the limits, honest where that is impossible."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError, SolverError
+from aslip.planning import BatchPlanner, Limits, Planner, Program, Stones, WalkState
+from benchmarks.planning.planner import brute_force, random_case, standing
+
+PLANNER = Planner()
+LIMITS = PLANNER.program.limits
+SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+
+
+def _cases(count, seed=0, stones=4):
+    rng = np.random.default_rng(seed)
+    return [random_case(PLANNER.program, rng, stones) for _ in range(count)]
+
+
+def test_plans_are_as_good_as_brute_force_over_stones():
+    complete = 0
+    for case in _cases(60, stones=3):
+        plan = PLANNER.plan(case.state, case.command, case.stones)
+        least = brute_force(PLANNER, case)
+        assert (plan.on_stones[0] == 4) == np.isfinite(least)
+        if plan.on_stones[0] == 4:
+            complete += 1
+            assert plan.cost[0] == pytest.approx(least, abs=1e-6)
+    assert complete > 20
+
+
+def test_feet_stand_on_stones_within_limits():
+    for case in _cases(20, seed=1):
+        plan = PLANNER.plan(case.state, case.command, case.stones)
+        stance = case.state.of_foot(case.state.foot_position, swing=False)
+        points = np.concatenate([stance, plan.foothold[0]])
+        for k, stone in enumerate(plan.stones[0, : plan.on_stones[0]]):
+            place, toes = plan.foothold[0, k], plan.heading[:, k : k + 1]
+            inner = case.stones.shrunk(toes, LIMITS.half_foot, LIMITS.margin)[0, 0, stone]
+            assert (case.stones.normals[0, stone] @ place[:2] <= inner + 1e-6).all()
+            assert place[2] == case.stones.heights[0, stone]
+            assert abs(place[2] - points[k, 2]) <= LIMITS.rise
+        if plan.within_limits[0]:
+            _check_limits(case, plan, points)
+
+
+def _check_limits(case, plan, points):
+    time = plan.time[0]
+    whole = time[0] + case.state.since[0]
+    assert LIMITS.step_time[0] - 1e-9 <= whole <= LIMITS.step_time[1] + 1e-9
+    for k, heading in enumerate(plan.heading[0]):
+        side = 1 - 2 * ((case.state.stance[0] + k + 1) % 2)
+        axes = np.array(
+            [
+                [np.cos(heading), np.sin(heading)],
+                [-side * np.sin(heading), side * np.cos(heading)],
+            ]
+        )
+        step = axes @ (points[k + 1] - points[k])[:2]
+        for value, (low, high) in zip(step, (LIMITS.length, LIMITS.width), strict=True):
+            assert low - 1e-6 <= value <= high + 1e-6
+    foot = case.state.of_foot(case.state.foot_position, swing=True)[0]
+    flight = time[0] - max(0.1 - case.state.since[0], 0)
+    way = (points[1] - foot)[:2] - case.state.body_velocity[0, :2] * flight
+    # the limit is an octagon
+    assert np.linalg.norm(way) <= LIMITS.foot_speed * flight / np.cos(np.pi / 8) + 1e-6
+
+
+def test_a_push_ahead_is_answered_by_a_longer_and_sooner_step():
+    case = _cases(1)[0]
+    command = np.array([[0.4, 0.0, 0.0]])
+    plain = PLANNER.plan(case.state, command)
+    pushed = replace(
+        case.state, body_velocity=case.state.body_velocity + np.array([[0.5, 0.0, 0.0]])
+    )
+    plan = PLANNER.plan(pushed, command)
+    assert plan.foothold[0, 0, 0] > plain.foothold[0, 0, 0] + 0.05
+    assert plan.time[0, 0] < plain.time[0, 0] - 0.02
+
+
+def test_where_no_stone_is_in_reach_the_step_comes_near_and_the_plan_says_so():
+    state, command = standing(PLANNER.program, 0), np.array([[0.3, 0.0, 0.0]])
+    far = Stones.of([SQUARE + np.array([1.2, -0.2])], [0.0])
+    plan = PLANNER.plan(state, command, far)
+    assert plan.on_stones[0] == 0 and plan.within_limits[0] and plan.stones[0, 0] == -1
+    free = PLANNER.plan(state, command)
+    assert free.on_stones[0] == 4
+    assert plan.foothold[0, 0, 0] > free.foothold[0, 0, 0] + 0.1
+    one = PLANNER.plan(state, command, Stones.of([SQUARE + np.array([0.2, -0.2])], [0.0]))
+    assert 1 <= one.on_stones[0] < 4
+
+
+def test_beyond_all_limits_and_without_stones_there_is_a_plan_that_says_so():
+    case = _cases(1)[0]
+    gone = replace(case.stones, present=np.zeros((1, 4), dtype=bool))
+    for stones in (None, case.stones, gone):
+        pushed = replace(case.state, body_velocity=np.array([[9.0, 0.0, 0.0]]))
+        plan = PLANNER.plan(pushed, case.command, stones)
+        assert not plan.within_limits[0]
+        assert np.isfinite(plan.foothold).all()
+    plan = PLANNER.plan(case.state, case.command, gone)
+    assert plan.within_limits[0] and plan.on_stones[0] == 0
+    with pytest.raises(SolverError, match="must be finite"):
+        PLANNER.plan(replace(case.state, body_velocity=np.full((1, 3), np.nan)), case.command)
+
+
+def test_several_robots_are_planned_as_each_alone():
+    cases = _cases(2)
+    joined = type(cases[0].state)(
+        **{
+            name: np.concatenate([getattr(case.state, name) for case in cases])
+            for name in vars(cases[0].state)
+        }
+    )
+    command = np.concatenate([case.command for case in cases])
+    plan = PLANNER.plan(joined, command)
+    for i, case in enumerate(cases):
+        alone = PLANNER.plan(case.state, case.command)
+        np.testing.assert_allclose(plan.foothold[i], alone.foothold[0], atol=1e-9)
+    at = plan.sample(np.array([0.1, 0.2]))
+    np.testing.assert_allclose(
+        at.body.position[1], alone.sample(np.array([0.2])).body.position[0], atol=1e-9
+    )
+
+
+def test_the_batched_form_is_optimal_without_stones_and_near_it_with_them():
+    batch, gaps, same = BatchPlanner(PLANNER.program), [], []
+    for case in _cases(40, seed=2):
+        for stones in (None, case.stones):
+            exact, rough = (
+                planner.plan(case.state, case.command, stones) for planner in (PLANNER, batch)
+            )
+            if stones is None:
+                gaps.append(np.abs(exact.foothold - rough.foothold).max())
+            elif exact.on_stones[0] == 4:
+                same.append(exact.stones[0, 0] == rough.stones[0, 0])
+    assert np.median(gaps) < 1e-6
+    assert np.mean(same) > 0.7
+
+
+def test_the_batched_form_takes_tensors():
+    import torch
+
+    case = _cases(1)[0]
+    batch = BatchPlanner(PLANNER.program)
+    state, stones = (
+        {name: torch.as_tensor(value) for name, value in vars(one).items()}
+        for one in (case.state, case.stones)
+    )
+    state, stones = WalkState(**state), Stones(**stones)
+    for given in (None, stones):
+        found = batch.plan(state, torch.as_tensor(case.command), given)
+        expected = batch.plan(case.state, case.command, given and case.stones)
+        np.testing.assert_allclose(found.foothold.numpy(), expected.foothold, atol=1e-9)
+        time = np.array([0.13])
+        one, two = found.sample(torch.as_tensor(time)), expected.sample(time)
+        np.testing.assert_allclose(one.feet.position.numpy(), two.feet.position, atol=1e-9)
+        np.testing.assert_allclose(one.ground_force.numpy(), two.ground_force, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("polygons", "heights", "message"),
+    [
+        ([], [], "one or more, got 0 polygons"),
+        ([SQUARE], [0.0, 1.0], "1 polygons and 2 heights"),
+        ([SQUARE[:2]], [0.0], r"stone 0 must have three or more corners"),
+        ([SQUARE, SQUARE[[0, 2, 1, 3]]], [0.0, 0.0], "stone 1 must be convex"),
+        ([SQUARE * [1, np.nan]], [0.0], "stone 0 must be finite"),
+        ([SQUARE[[0, 1, 2, 2]]], [0.0], "stone 0 has two equal corners"),
+        ([SQUARE], [np.inf], "heights of stones must be finite"),
+    ],
+)
+def test_bad_stones_are_named(polygons, heights, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Stones.of(polygons, heights)
+
+
+def test_stones_seen_from_a_robot_keep_their_corners_on_their_edges():
+    """Either order of corners, and fewer of them than others have."""
+    stones = Stones.of([SQUARE[::-1], SQUARE[:3] + 1.0], [0.1, 0.2])
+    seen = stones.seen_from(np.array([[0.3, -0.2], [0.0, 1.0]]), np.array([0.5, -np.pi / 2]))
+    distance = np.einsum("nmek,nmck->nmec", seen.normals, seen.corners) - seen.offsets[..., None]
+    assert distance.max() < 1e-12 and distance.min() < -0.1
+    assert (np.isclose(distance, 0).sum(axis=-1) >= 2).all()
+    assert seen.heights.shape == seen.present.shape == (2, 2)
+    # the robot looks along -y from (0, 1)
+    np.testing.assert_allclose(seen.centres[1, 0], [1.0, 0.0], atol=1e-12)
+
+
+def test_a_whole_foot_stands_on_what_is_left_of_a_stone():
+    stones = Stones.of([SQUARE, 0.5 * SQUARE], [0.0, 0.0])
+    toes = np.array([[0.0, np.pi / 2]])
+    shrunk = stones.shrunk(toes, half_length=0.08, margin=0.01)[0]
+    # edges of the square look along -y, x, y, -x
+    np.testing.assert_allclose(shrunk[0, 0], [0.09, 0.01, 0.09, 0.01])
+    np.testing.assert_allclose(shrunk[1, 0], [0.01, 0.09, 0.01, 0.09])
+    # the centre of a foot that is too long may be near that of the stone
+    np.testing.assert_allclose(shrunk[0, 1], [0.04, 0.005, 0.04, 0.005])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("width", (0.2, 0.1)), ("foot_speed", 0.0), ("rise", np.nan)]
+)
+def test_bad_limits_are_named(name, value):
+    with pytest.raises(ConfigurationError, match=name):
+        Limits(**{name: value})
+    with pytest.raises(ConfigurationError, match="steps must be a whole number of 2 or more"):
+        Program(steps=1)
