@@ -13,7 +13,6 @@ from aslip.envs.simulated_env import SimulatedEnv
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import PD, MakeDrive, SimulationPool, Snapshot
-from aslip.sim.dynamics import with_longer_memory
 
 MAX_BATCH_ENVS: Final = 65_536
 """Largest number of robots of one environment, at 50 kB each. A larger number is probably a typing
@@ -76,8 +75,7 @@ class BatchEnv(SimulatedEnv):
     def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         self.simulations.write_fields(ids, fields)
 
-    def _lengthen_memory(self, delay: float) -> None:
-        model = with_longer_memory(self.model, delay, visual=False, robot=self.robot)
+    def _use_model(self, model: mujoco.MjModel) -> None:
         self.simulations = SimulationPool(self.num_envs, model=model, **self._settings)
         self.simulations.watch(self._watched_robot)
 
