@@ -66,6 +66,8 @@ class Course:
             raise ShapeError(f"stones must have shape (s, {len(STONE)}), got {stones.shape}")
         check_count("the number of stones", len(stones), most=MOST_STONES)
         polygons = {i: _checked_polygon(i, corners) for i, corners in self.polygons.items()}
+        for i in polygons.keys() - set(range(len(stones))):
+            raise ConfigurationError(f"polygon {i!r} is of none of the {len(stones)} stones")
         for i, corners in polygons.items():
             stones[i] = *corners.mean(axis=0), stones[i, 2], *[np.nan] * 3
         for i, stone in enumerate(stones):

@@ -77,6 +77,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
         ]}), "stone 1 must be convex",
     ),
     "line": (lambda: _course(ROW, polygons={1: SQUARE[:2]}), r"be \(k >= 3, 2\), got \(2, 2\)"),
+    "stray": (lambda: _course(polygons={1: SQUARE}), "polygon 1 is of none of the 1 stones"),
     "infinite": (lambda: _course(ROW, polygons={1: SQUARE * np.inf}), "stone 1 must be finite"),
 }  # fmt: skip
 
