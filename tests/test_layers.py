@@ -38,7 +38,8 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "control": {"robot", "library", "estimation", "transforms", "policy"},
     "training": {"robot", "sim", "transforms", "policy", "envs"},
     "walking": {"robot", "library", "transforms", "policy", "envs"},
-    "show": {"robot", "rom", "library", "transforms", "policy", "envs"} | {"training", "walking"},
+    "show": {"robot", "rom", "library", "sim", "transforms", "policy", "envs"}
+    | {"training", "walking"},
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs"}
     | {"training", "walking", "show"},
     "network": {"robot", "library", "estimation", "sim", "policy", "control", "show", "log"},

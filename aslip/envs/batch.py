@@ -14,7 +14,6 @@ from aslip.envs.simulated_env import SimulatedEnv
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import PD, MakeDrive, SimulationPool, Snapshot
-from aslip.sim.dynamics import with_longer_memory
 
 MAX_BATCH_ENVS: Final = 65_536
 """Largest number of robots of one environment, at 50 kB each. A larger number is probably a typing
@@ -25,6 +24,7 @@ class SimulationsEnv(SimulatedEnv):
     """N robots in `simulations`, which have the methods of `aslip.sim.SimulationPool`."""
 
     simulations: Any
+    _watched_robot: int | None = None
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -42,6 +42,7 @@ class SimulationsEnv(SimulatedEnv):
     def watch(self, index: int | None) -> None:
         """See `SimulatedEnv.watch`."""
         self.simulations.watch(index)
+        self._watched_robot = index
 
     @property
     def watched(self) -> np.ndarray:
@@ -92,15 +93,8 @@ class BatchEnv(SimulationsEnv):
         model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
         self._settings = {"num_threads": num_threads, "robot": robot, "drive": drive}
         self.simulations = SimulationPool(num_envs, model=model, **self._settings)
-        self._watched_robot: int | None = None
         super().__init__(num_envs, robot, self.simulations.command_size, drive)
 
-    def watch(self, index: int | None) -> None:
-        """See `SimulatedEnv.watch`."""
-        super().watch(index)
-        self._watched_robot = index
-
-    def _lengthen_memory(self, delay: float) -> None:
-        model = with_longer_memory(self.model, delay, visual=False, robot=self.robot)
+    def _use_model(self, model: mujoco.MjModel) -> None:
         self.simulations = SimulationPool(self.num_envs, model=model, **self._settings)
         self.simulations.watch(self._watched_robot)

@@ -32,7 +32,7 @@ from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.sim import PD, MakeDrive, Snapshot
-from aslip.sim.dynamics import with_longer_memory, write_fields
+from aslip.sim.dynamics import write_fields
 
 MAX_DM_CONTROL_ENVS: Final = 1_024
 """Largest number of robots of one environment, each with its own model."""
@@ -177,6 +177,8 @@ class DmControlEnv(SimulatedEnv):
         """Physics of each robot."""
         return [environment.physics for environment in self.environments]
 
+    _visual = True
+
     @property
     def model(self) -> mujoco.MjModel:
         """See `SimulatedEnv.model`; with visual geoms."""
@@ -215,8 +217,8 @@ class DmControlEnv(SimulatedEnv):
             if "opt.gravity" in fields:
                 physics.sensors.set_gravity(_ONE, fields["opt.gravity"][k, None])
 
-    def _lengthen_memory(self, delay: float) -> None:
-        self._model = with_longer_memory(self.model, delay, visual=True)
+    def _use_model(self, model: mujoco.MjModel) -> None:
+        self._model = model
         for physics in self.physics:
             watched, drive = physics.watched is not None, physics.drive
             physics._reload_from_model(MjModel(copy(self._model)))

@@ -115,7 +115,7 @@ class RobotEnv(EnvBase):
     @on_cpu_in_single
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         del kwargs
-        _refuse_requests(tensordict, ["initial", "dynamics"])
+        _refuse_requests(tensordict, ["initial", "dynamics", "course"])
         self.restart(self._robots_to_reset(tensordict))
         return self._start()
 

@@ -13,20 +13,22 @@ Keys in addition to those of `RobotEnv`, for n robots, with shapes that omit the
 A reset request may have the initial state, `("initial", "qpos")` (35) and `("initial", "qvel")`
 (32); by default the robot stands, or starts where the stack's `ReferenceStart` puts it. It may also
 have parameters of `aslip.sim.DYNAMICS`, `("dynamics", name)` (1); other parameters keep their
-values, or are drawn by the stack's `RandomDynamics`. These entries are not in `state_spec`, because
-TorchRL would require them in every step; so TorchRL's wrappers, such as `SerialEnv`, drop them.
+values, or are drawn by the stack's `RandomDynamics`. Stones, `("course", "stones")` (s, 6), have
+the columns of `aslip.sim.course.STONE`, and are NaN where is none; by default they stay. These
+entries are not in `state_spec`, because TorchRL would require them in every step; so TorchRL's
+wrappers, such as `SerialEnv`, drop them.
 
 A NaN target makes only its own simulation diverge. TorchRL copies `push` from step to step: remove
 it when the push ends.
 
-Further methods: `dynamics`, `weight` and `set_dynamics` for the dynamics; `states`, `set_states`
-and `watch` for logs and replay.
+Further methods: `dynamics`, `weight` and `set_dynamics` for the dynamics; `stones` and `set_course`
+for the ground; `states`, `set_states` and `watch` for logs and replay.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -45,7 +47,9 @@ from aslip.envs.robot_env import RobotEnv, check_entry
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
-from aslip.sim.dynamics import longest_delay, with_memory_of
+from aslip.sim.course import Course
+from aslip.sim.dynamics import load_again, longest_delay, with_memory_of
+from aslip.sim.stones import Stones
 
 # kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")
@@ -80,6 +84,7 @@ class SimulatedEnv(RobotEnv):
         self.divergences: int | Array = 0
         """Number of simulations that diverged and were reset since construction."""
         self._dynamics = Dynamics(num_envs, self.model, robot, self._arranged)
+        self._stones = Stones(num_envs, self.model, self._arranged)
         self.altered = False
         """True once a robot has had other dynamics than `model`."""
         super().__init__(num_envs, robot, command_size)
@@ -108,8 +113,11 @@ class SimulatedEnv(RobotEnv):
         """Change fields (k, ...) of the models of (k,) robots."""
 
     @abstractmethod
-    def _lengthen_memory(self, delay: float) -> None:
-        """Replace `model` and all simulations by ones that can delay commands by `delay` [s]."""
+    def _use_model(self, model: mujoco.MjModel) -> None:
+        """Replace `model` by one with a longer memory of commands or other stones.
+
+        Simulations are standing afterwards, with the model's own fields.
+        """
 
     @property
     @abstractmethod
@@ -146,6 +154,9 @@ class SimulatedEnv(RobotEnv):
     def watched(self) -> np.ndarray:
         """(60, 83) substeps of the watched robot's last policy step; see `Simulations.watched`."""
 
+    _visual = False
+    """Whether `model` has visual geoms."""
+
     # for simulators whose arrays are not NumPy's
 
     def _arranged(self, values: np.ndarray) -> Array:
@@ -166,8 +177,7 @@ class SimulatedEnv(RobotEnv):
     @property
     def weight(self) -> np.ndarray:
         """(n,) weight of each robot normal to the floor [N], with mass, payload and slope."""
-        everyone = self._arranged(np.arange(self.num_envs))
-        fields = self._dynamics.fields(everyone, ("mass", "payload", "slope"))
+        fields = self._dynamics.fields(self._everyone, ("mass", "payload", "slope"))
         return -_on_host(fields["body_mass"]).sum(axis=1) * _on_host(fields["opt.gravity"])[:, 2]
 
     def set_dynamics(self, values: Mapping[str, ArrayLike], ids: np.ndarray | None = None) -> None:
@@ -186,20 +196,74 @@ class SimulatedEnv(RobotEnv):
             ConfigurationError: a robot does not exist or a value is outside its limits; all
                 dynamics stay as they are.
         """
-        everyone = self._arranged(np.arange(self.num_envs))
-        robots = everyone if ids is None else self._checked_ids(ids)
+        robots = self._everyone if ids is None else self._checked_ids(ids)
         fields = self._dynamics.update(robots, values)
         if not fields:
             return
         self.altered = True
         delay = float(fields["actuator_delay"].max()) if "actuator_delay" in fields else 0.0
         if delay > longest_delay(self.model):
-            model, states = self.model, self.states()
-            self._lengthen_memory(delay)
-            self._write_fields(everyone, self._dynamics.fields(everyone))
-            self.set_states(with_memory_of(states, model, self.model))
+            self._load_again(delay)
         else:
             self._write_fields(robots, fields)
+
+    def _load_again(self, delay: float = 0.0) -> None:
+        """Move all simulations to a model that allows a torque delay and has all stones."""
+        everyone, model, states = self._everyone, self.model, self.states()
+        stones = {"stones": self._stones.rows.shape[1], "prisms": self._stones.prisms}
+        settings = {"visual": self._visual, "robot": self.robot}
+        self._use_model(load_again(model, delay=delay, **stones, **settings))
+        self._dynamics.use_model(self.model)
+        self._stones.use_model(self.model)
+        fields = self._dynamics.fields(everyone) if self.altered else {}
+        if any(stones.values()):
+            fields |= self._stones.fields(everyone)
+        self._write_fields(everyone, fields)
+        self.set_states(with_memory_of(states, model, self.model))
+
+    @property
+    def _everyone(self) -> Array:
+        return self._arranged(np.arange(self.num_envs))
+
+    # ----------------------------------------------------------------- ground
+
+    @property
+    def stones(self) -> np.ndarray:
+        """(n, s, 6) copy of the robots' stones, by the columns of `aslip.sim.course.STONE`.
+
+        NaN where is none; a stone that is not a rectangle has no yaw, length and width.
+        """
+        return _on_host(self._stones.rows)
+
+    def set_course(
+        self, course: Course | Sequence[Course | None] | None, ids: np.ndarray | None = None
+    ) -> None:
+        """Put stones below robots, in the place of their floor, also after resets.
+
+        Robots stay where they are: reset them to start above a course's origin. `states` does not
+        contain courses. For more stones than before, or stones that are not rectangles, all
+        simulations move to another model, which takes long with MuJoCo Warp.
+
+        Args:
+            course: one course, or one per robot; None is the flat floor.
+            ids: (k,) robots, sorted and unique; all by default.
+
+        Raises:
+            ShapeError: the number of courses is neither one nor k.
+            ConfigurationError: a robot does not exist.
+        """
+        robots = self._everyone if ids is None else self._checked_ids(ids)
+        courses = [*course] if isinstance(course, Sequence) else [course] * len(robots)
+        if len(courses) != len(robots):
+            raise ShapeError(f"course must be one, or {len(robots)} courses, got {len(courses)}")
+        self._stones.place(robots, courses)
+        self._write_stones(robots)
+
+    def _write_stones(self, robots: Array) -> None:
+        if not self._stones.fit:
+            self._load_again()
+        elif self._stones.rows.shape[1]:
+            self._write_fields(robots, self._stones.fields(robots))
 
     # ---------------------------------------------------------------- EnvBase
 
@@ -246,8 +310,18 @@ class SimulatedEnv(RobotEnv):
                     check_entry(f"initial {name}", start[name], expected)
                     initial[i] = self._taken(start[name])[rows]
             self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
+            self._place_requested(reset_request(tensordict, "course"), rows)
         self._restart(rows, *initial)
         return self._start()
+
+    def _place_requested(self, course: Mapping[str, Tensor], rows: Array) -> None:
+        """Place the stones of a reset request; see `Stones.place_rows`."""
+        for name in course:
+            if name != "stones":
+                raise UnknownNameError.among("entry of a course", name, ["stones"])
+            stones = self._taken(course[name])
+            self._stones.place_rows(rows, stones[rows])
+            self._write_stones(rows)
 
     def _requested_dynamics(self, tensordict: TensorDictBase, rows: Array) -> dict[str, Array]:
         """Parameter -> values (k,) of a reset request.
@@ -280,7 +354,7 @@ def _on_host(values: Array) -> np.ndarray:
 
 
 def reset_request(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:
-    """Entries of a group of a reset request, "initial" or "dynamics", by name.
+    """Entries of a group of a reset request, "initial", "dynamics" or "course", by name.
 
     Raises:
         ShapeError: the group is not a tensordict.

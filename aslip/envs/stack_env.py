@@ -147,7 +147,7 @@ class StackEnv(TransformedEnv):
         # random transforms need the number of robots; TorchRL is slow to compute it
         if tensordict is None:
             tensordict = TensorDict(batch_size=self.batch_size)
-        # TransformedEnv._reset, but with initial states and dynamics, which are not in state_spec
+        # TransformedEnv._reset, but with initial states, dynamics and stones, not in state_spec
         state_keys = self.state_spec.keys(True, True)
         request = tensordict.select(
             *self.reset_keys, *state_keys, *_chosen(tensordict), strict=False
@@ -236,13 +236,13 @@ def _seed_transform(name: str, transform: Transform, seed: int) -> None:
 
 
 def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
-    """Keys of the initial states and dynamics that the caller of a reset chooses.
+    """Keys of the initial states, dynamics and stones that the caller of a reset chooses.
 
     A request with a mask `_reset` chooses none: it is the tensordict of the episode that ends.
     """
     if "_reset" in tensordict:
         return []
-    groups = ("initial", "dynamics")
+    groups = ("initial", "dynamics", "course")
     return [(group, name) for group in groups for name in reset_request(tensordict, group)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -14,7 +15,6 @@ from aslip.envs.batch import MAX_BATCH_ENVS, SimulationsEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
-from aslip.sim.dynamics import with_longer_memory
 from aslip.sim.warp import CONSTRAINTS, CONTACTS, WarpSimulations, check_device
 
 # share of policy steps in which contacts may overflow, and steps between looks at it
@@ -59,9 +59,8 @@ class WarpEnv(SimulationsEnv):
         num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
         self.place = check_device(device)
         model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
-        self.simulations = WarpSimulations(
-            num_envs, model, self.place, robot, contacts=contacts, constraints=constraints
-        )
+        self._settings = {"robot": robot, "contacts": contacts, "constraints": constraints}
+        self.simulations = WarpSimulations(num_envs, model, self.place, **self._settings)
         self._steps = 0
         super().__init__(num_envs, robot)
 
@@ -83,11 +82,13 @@ class WarpEnv(SimulationsEnv):
             )
         return super()._advance(motor_target, push)
 
-    def _lengthen_memory(self, delay: float) -> None:
-        # torques wait long enough; only the rows of `states` become longer
-        self.simulations.model = with_longer_memory(
-            self.model, delay, visual=False, robot=self.robot
-        )
+    def _use_model(self, model: mujoco.MjModel) -> None:
+        if model.ngeom == self.model.ngeom and not model.nmesh:
+            # torques wait long enough; only the rows of `states` become longer
+            self.simulations.model = model
+        else:
+            self.simulations = WarpSimulations(self.num_envs, model, self.place, **self._settings)
+            self.simulations.watch(self._watched_robot)
 
     def _taken(self, value: Tensor) -> Tensor:
         return value.detach()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from types import FunctionType
-from typing import Final
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,6 +21,14 @@ HIGHEST_FRICTION = 1e3
 
 APPEARANCE_GROUP: Final = 1
 """Group of the robot's visual geoms."""
+
+STONE_GEOM: Final = "stone:"
+"""Prefix of the names of stones that are boxes."""
+PRISM_GEOM: Final = "prism:"
+"""Prefix of the names of stones that are other prisms."""
+AWAY: Final = -100.0
+"""Height of what a robot does not have [m]."""
+_STONE_COLOR = (0.66, 0.62, 0.55, 1.0)
 
 _log = logging.getLogger(__name__)
 _warned = False
@@ -46,12 +55,23 @@ def limit_warnings() -> None:
 limit_warnings()
 
 
+class Prism(NamedTuple):
+    """Upright prism on a convex polygon."""
+
+    corners: tuple[tuple[float, float], ...]
+    """Corners of the polygon [m]."""
+    ends: tuple[float, float]
+    """Heights of bottom and top [m]."""
+
+
 def load_model(
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     *,
     visual: bool = True,
     timestep: float | None = None,
     memory: int | None = None,
+    stones: int = 0,
+    prisms: Sequence[Prism] = (),
     robot: Robot = CASSIE,
 ) -> mujoco.MjModel:
     """Compile a robot's MJCF.
@@ -62,6 +82,8 @@ def load_model(
         timestep: physics timestep [s]: the robot's by default, or twice that for faster training.
         memory: number of delayed torque commands per motor, one per physics step; by default
             enough for the robot's delay.
+        stones: number of boxes, all far below the floor, that `aslip.sim.stones` makes stones.
+        prisms: stones that are not boxes, at their places.
         robot: robot to compile.
 
     Raises:
@@ -77,9 +99,46 @@ def load_model(
     if memory is not None:
         for actuator in spec.actuators:
             actuator.nsample = memory
+    if stones or prisms:
+        _add_stones(spec, stones, prisms)
     model = spec.compile()
     set_floor_friction(model, floor_friction)
     return model
+
+
+def _add_stones(spec: mujoco.MjSpec, stones: int, prisms: Sequence[Prism]) -> None:
+    """Add stones like the floor, so that places and sizes of each may be changed afterwards."""
+    floor = spec.geom("floor")
+    # not at the body's origin, where MuJoCo would ignore places written later
+    floor.pos = [0.0, 0.0, AWAY]
+    # midphase searches a tree of bounds, which would keep the places of the compiled model
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+    shared = ("condim", "contype", "conaffinity", "friction", "priority", "solref", "solimp")
+    settings = {name: getattr(floor, name) for name in shared} | {"rgba": _STONE_COLOR}
+    turned = [np.cos(0.5), 0.0, 0.0, np.sin(0.5)]
+    for i in range(stones):
+        box = {"pos": floor.pos, "quat": turned, "size": [0.01] * 3}
+        spec.worldbody.add_geom(
+            name=f"{STONE_GEOM}{i}", type=mujoco.mjtGeom.mjGEOM_BOX, **box, **settings
+        )
+    for i, prism in enumerate(prisms):
+        name = f"{PRISM_GEOM}{i}"
+        ends = [np.pad(prism.corners, [(0, 0), (0, 1)], constant_values=z) for z in prism.ends]
+        spec.add_mesh(name=name, uservert=np.concatenate(ends).ravel())
+        spec.worldbody.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **settings
+        )
+    for sensor in spec.sensors:
+        if sensor.type == mujoco.mjtSensor.mjSENS_CONTACT and sensor.objname == floor.name:
+            # floor and stones are the geoms of the world
+            sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_BODY, "world"
+
+
+def ground_geoms(model: mujoco.MjModel, *kinds: str) -> np.ndarray:
+    """Ids of the floor and all stones; or only of those of some kinds, such as `STONE_GEOM`."""
+    kinds = kinds or ("floor", STONE_GEOM, PRISM_GEOM)
+    names = [model.geom(i).name.rstrip("0123456789") for i in range(model.ngeom)]
+    return np.array([i for i, name in enumerate(names) if name in kinds], dtype=int)
 
 
 def physics_timesteps(robot: Robot = CASSIE) -> tuple[float, float]:
@@ -99,12 +158,12 @@ def check_timestep(timestep: float, robot: Robot = CASSIE) -> None:
 
 
 def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
-    """Set the floor's sliding friction, which has priority over that of the robot's geoms."""
+    """Set the friction of floor and stones, which has priority over that of the robot's geoms."""
     if not 0 < friction <= HIGHEST_FRICTION:
         raise ConfigurationError(
             f"floor_friction must be a positive number up to {HIGHEST_FRICTION:g}, got {friction!r}"
         )
-    model.geom("floor").friction[0] = friction
+    model.geom_friction[ground_geoms(model), 0] = friction
 
 
 def geom_color(model: mujoco.MjModel, geom: int) -> np.ndarray:

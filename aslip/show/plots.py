@@ -1,4 +1,4 @@
-"""Figures of gaits and of learning curves."""
+"""Figures of gaits, learning curves and courses."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, MODEL, RIGHT, SERIES
+from aslip.sim.course import Course
 from aslip.training.settings import SETTINGS_FILE, read_settings
 
 with extras():
@@ -21,6 +22,7 @@ with extras():
     from cycler import cycler
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
+    from matplotlib.collections import PolyCollection
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -229,6 +231,26 @@ def _draw_seeds(
     axes.plot(steps, values.mean(0), marker=marker, ms=3, label=label, **style)
     color = style["color"]
     axes.fill_between(steps, values.min(0), values.max(0), alpha=0.25, lw=0, color=color)
+
+
+def course_figure(courses: Mapping[str, Course]) -> Figure:
+    """Figure of courses from above, by their names; colours are heights."""
+    figure = Figure(figsize=(10, 0.6 + 1.3 * len(courses)), layout="constrained")
+    rows = figure.subplots(len(courses), 1, squeeze=False)[:, 0]
+    highest = max(max(abs(c.stones[:, 2]).max() for c in courses.values()), 0.1)
+    for axes, (name, course) in zip(rows, courses.items(), strict=True):
+        stones = PolyCollection(course.corners, edgecolor="k", lw=0.5, cmap="RdBu_r")
+        stones.set(array=course.stones[:, 2], clim=(-highest, highest))
+        axes.add_collection(stones)
+        for i, (x, y) in enumerate(course.stones[1:-1, :2], start=1):
+            axes.text(x, y, str(i), ha="center", va="center", fontsize=6)
+        axes.plot(0, 0, marker=">", color="k")
+        axes.set(title=name, ylabel="y [m]")
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+    rows[-1].set_xlabel("x [m]")
+    figure.colorbar(rows[0].collections[0], ax=list(rows), label="height [m]")
+    return figure
 
 
 def save_figure(figure: Figure, path: Path) -> None:

@@ -5,7 +5,7 @@ The simulators write these fields, per simulation into `mujoco.batch` or into ea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NoReturn
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from aslip.base.arrays import Array, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
-from aslip.robot.model import load_model
+from aslip.robot.model import Prism, ground_geoms, load_model
 from aslip.sim.parameters import DRIVE, DYNAMICS, parameter_named
 
 DERIVING_FIELDS: Final = frozenset({"body_mass", "body_inertia", "dof_armature"})
@@ -40,26 +40,30 @@ class Dynamics:
         robot: Robot = CASSIE,
         arranged: Callable[[np.ndarray], Array] = np.asarray,
     ) -> None:
-        names = sorted({field for parameter in DYNAMICS.values() for field in parameter.fields})
-        gains = {f"{DRIVE}stiffness": robot.stiffness, f"{DRIVE}damping": robot.damping}
-        default = {
-            name: gains[name] if name in gains else model_field(model, name).copy()
-            for name in names
-        }
-        self._arranged = arranged
-        self._default = {name: arranged(value) for name, value in default.items()}
-        self._timestep = model.opt.timestep
-        self._floor, self._pelvis = model.geom("floor").id, model.body(robot.pelvis).id
+        self._arranged, self._robot = arranged, robot
+        self.use_model(model)
         nominal = dict.fromkeys(DYNAMICS, 1.0) | {
             "payload": 0.0,
-            "floor_friction": float(default["geom_friction"][self._floor, 0]),
-            "torque_delay": float(default["actuator_delay"][0]),
+            "floor_friction": float(model.geom("floor").friction[0]),
+            "torque_delay": float(model.actuator_delay[0]),
             "slope": 0.0,
         }
         self.nominal: Mapping[str, float] = MappingProxyType(nominal)
         """Parameter -> value of the model."""
         self.values = {name: arranged(np.full(num, value)) for name, value in nominal.items()}
         """Parameter -> values (n,)."""
+
+    def use_model(self, model: mujoco.MjModel) -> None:
+        """Take default fields from a model, such as one with more geoms; values stay."""
+        names = sorted({field for parameter in DYNAMICS.values() for field in parameter.fields})
+        robot = self._robot
+        gains = {f"{DRIVE}stiffness": robot.stiffness, f"{DRIVE}damping": robot.damping}
+        self._default = {
+            name: self._arranged(gains[name] if name in gains else model_field(model, name).copy())
+            for name in names
+        }
+        self._timestep = model.opt.timestep
+        self._ground, self._pelvis = ground_geoms(model), model.body(robot.pelvis).id
 
     def update(self, ids: Array, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """Change some parameters of some robots.
@@ -103,7 +107,7 @@ class Dynamics:
         if name == "body_mass":
             rows[:, self._pelvis] += of["payload"]
         elif name == "geom_friction":
-            rows[:, self._floor, 0] = of["floor_friction"]
+            rows[:, self._ground, 0] = of["floor_friction"][:, None]
         elif name == "actuator_gainprm":
             # the first parameter is the motor's gain
             rows[..., 0] *= of["motor_strength"][:, None]
@@ -197,14 +201,22 @@ def longest_delay(model: mujoco.MjModel) -> float:
     return float(model.actuator_history[0, 0]) * model.opt.timestep
 
 
-def with_longer_memory(
-    model: mujoco.MjModel, delay: float, *, visual: bool, robot: Robot = CASSIE
+def load_again(
+    model: mujoco.MjModel,
+    *,
+    delay: float = 0.0,
+    stones: int = 0,
+    prisms: Sequence[Prism] = (),
+    visual: bool,
+    robot: Robot = CASSIE,
 ) -> mujoco.MjModel:
-    """Load a model again, with its memory of commands doubled until it allows a delay.
+    """Load a model again, with a longer memory of commands or with stones.
 
     Args:
         model: model from `aslip.robot.model.load_model` or this function.
-        delay: torque delay that the memory must allow [s].
+        delay: torque delay that the memory must allow [s]; it is doubled until it does.
+        stones: number of boxes; see `load_model`.
+        prisms: other stones.
         visual: `visual` of the model.
         robot: robot of the model.
     """
@@ -216,6 +228,8 @@ def with_longer_memory(
         visual=visual,
         timestep=model.opt.timestep,
         memory=samples,
+        stones=stones,
+        prisms=prisms,
         robot=robot,
     )
 
@@ -231,6 +245,8 @@ def with_memory_of(states: np.ndarray, model: mujoco.MjModel, longer: mujoco.MjM
     Returns:
         (n, l) states; the oldest command fills the longer memory.
     """
+    if model.nhistory == longer.nhistory:
+        return states
     start = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_HISTORY) - 1)
     before, history, after = np.split(states, [start, start + model.nhistory], axis=1)
     old, new = (int(m.actuator_history[0, 0]) for m in (model, longer))

@@ -2,12 +2,14 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
 from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
+from aslip.sim.course import pattern
 from tests.helpers import BACKENDS, STANDING, MakeEnv
 
 
@@ -52,11 +54,16 @@ def test_positions_come_from_the_reference_if_only_velocities_are_requested(
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_robots_have_the_requested_dynamics(make: MakeEnv, backend: str) -> None:
+    """And stones, which stay without a request, too."""
     env = make(backend, num_envs=2)
-    env.reset(_request(dynamics=_values("mass", 1.5, 0.8)))
+    stones = torch.tensor(pattern("up").stones).repeat(2, 1, 1)
+    stones[1, 1:] = torch.nan
+    course = TensorDict(stones=stones, batch_size=2)
+    env.reset(_request(dynamics=_values("mass", 1.5, 0.8), course=course))
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
     env.reset()
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
+    np.testing.assert_array_equal(env.base_env.stones, stones)
 
 
 @pytest.mark.parametrize("drop", [[], ["start"]])

@@ -19,6 +19,7 @@ from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
 from aslip.robot import CASSIE
 from aslip.sim import DYNAMICS
+from aslip.sim.course import Course, pattern
 from aslip.sim.warp import check_device
 from aslip.transforms import EstimatedState
 from aslip.transforms.device_estimator import DeviceEstimator
@@ -258,10 +259,28 @@ def test_overflow_ends_an_episode_and_is_an_error_beyond_a_share() -> None:
     assert ended.all() and env.overflows > 0
 
 
-def test_long_delays_lengthen_the_memory_of_states(robots: WarpEnv) -> None:
+def test_stones_differ_and_long_delays_lengthen_the_memory_of_states(robots: WarpEnv) -> None:
+    """Robots on stones are those of the batch; a polygon needs another model."""
     size = robots.states().shape[1]
-    env = WarpEnv(2, device="cpu")
-    env.reset()
+    env, batch = WarpEnv(2, device="cpu"), BatchEnv(2, num_threads=1)
+    row, corners = [0.0] * 6, [[-0.5, -0.6], [0.4, -0.7], [0.4, 0.6], [-0.5, 0.6]]
+    polygon = Course(np.array([row, [0.7, 0.1, 0.05, 0.3, 0.3, 0.3]]), {0: np.array(corners)})
+    request = TensorDict(course=TensorDict(stones=torch.full((2, 2, 6), torch.nan)), batch_size=2)
+    request["course", "stones"][1] = torch.tensor(pattern("up", count=2).stones[:2])
+    falls = []
+    for each in (batch, env):
+        each.set_course(polygon)
+        # the first robot keeps its polygon, the second falls between two stones
+        mask = torch.tensor([[False], [True]])
+        each.reset(request.clone().set("_reset", mask))
+        qpos = _QPOS.repeat(2, 1)
+        qpos[1, :3] += torch.tensor([0.9, 0.5, 0.0])
+        initial = TensorDict(qpos=qpos, qvel=torch.zeros(2, 32), batch_size=2)
+        each.reset(TensorDict(initial=initial, batch_size=2))
+        falls.append(_advance(each, STANDING.expand(12, 2, -1))["truth", "pelvis_position"])
+    torch.testing.assert_close(*falls, rtol=0, atol=2e-3)
+    assert falls[0][1, 2] < falls[0][0, 2] - 0.1
+    env.set_course(None)
     env.set_dynamics({"torque_delay": 0.02})
     _advance(env, _targets(2, 3))
     states = env.states()

@@ -24,7 +24,8 @@ from torch import Tensor
 from aslip.base.checks import check_states
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
-from aslip.robot.model import check_timestep
+from aslip.robot.model import check_timestep, ground_geoms
+from aslip.robot.rotation import quaternion_to_matrix
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.parameters import DYNAMICS
 from aslip.sim.simulations import watched_size
@@ -42,6 +43,8 @@ CONSTRAINTS: Final = 96
 _LARGEST = 1e10
 # fields that MuJoCo derives from those of `DYNAMICS`
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "actuator_acc0")
+# fields of stones, other than places
+_STONES = ("geom_size", "geom_aabb", "geom_rbound")
 # parameters of the low level, which are not Warp's
 _OWN = {"drive.stiffness": "stiffness", "drive.damping": "damping", "actuator_delay": "delay"}
 # of Warp's model
@@ -99,7 +102,9 @@ class WarpSimulations:
 
     def _make_arrays(self, num: int) -> None:
         undelayed = _without_delay(self.model)
-        batched = dict.fromkeys((*_FIELDS - {"opt.gravity"}, *_DERIVED), num)
+        self._ground = torch.as_tensor(ground_geoms(self.model), device=self.place)
+        self._own_stones = _STONES if len(self._ground) > 1 else ()
+        batched = dict.fromkeys((*_FIELDS - {"opt.gravity"}, *_DERIVED, *self._own_stones), num)
         self.m = mjw.put_model(undelayed, batch_sizes=batched)
         self.m.opt.gravity = wp.array(np.tile(self.model.opt.gravity, (num, 1)), dtype=wp.vec3)
         self.d = mjw.make_data(undelayed, nworld=num, nconmax=self.contacts, njmax=self.constraints)
@@ -107,7 +112,7 @@ class WarpSimulations:
         self.motors = make_motors(num, self.model, robot)
         self.joints = make_joints(num, robot)
         self.inertial = make_inertial(num, self.model, robot)
-        self._ground = wp.array(at.ground_force.astype(np.int32), dtype=int)
+        self._feet = wp.array(at.ground_force.astype(np.int32), dtype=int)
         key = self.model.key("standing")
         self._standing = [wp.array(x[None], dtype=float) for x in (key.qpos, key.qvel)]
         self.initial = [wp.zeros((num, x.shape[1]), dtype=float) for x in self._standing]
@@ -152,7 +157,11 @@ class WarpSimulations:
         snapshot = Snapshot(*(wp.to_torch(array) for array in state))
         self._snapshot = replace(snapshot, site_xmat=snapshot.site_xmat.flatten(-2))
         own = {name: wp.to_torch(getattr(motors, of)) for name, of in _OWN.items()}
-        self._fields = {name: wp.to_torch(_field(self.m, name)) for name in _FIELDS} | own
+        self._fields = {
+            name: wp.to_torch(_field(self.m, name)) for name in (*_FIELDS, *self._own_stones)
+        } | own
+        # of geoms of the world, Warp computes these only once
+        self._places = {"geom_pos": wp.to_torch(d.geom_xpos), "geom_quat": wp.to_torch(d.geom_xmat)}
 
     def _capture(self) -> None:
         """Record the graphs; kernels are compiled before, as a capture cannot load modules."""
@@ -217,7 +226,7 @@ class WarpSimulations:
                 per, packets[1], 0,
             )  # fmt: skip
         self._launch(
-            low.add_loads, num, self.motors, self.inertial, self._ground, d.sensordata,
+            low.add_loads, num, self.motors, self.inertial, self._feet, d.sensordata,
             d.qfrc_actuator, d.qvel, d.qacc, int(first == 0), self._stride / self.robot.substeps,
         )  # fmt: skip
         self._launch(
@@ -243,7 +252,7 @@ class WarpSimulations:
         )  # fmt: skip
         self._launch(
             restarts.settle_inertial, num, self.motors, self.inertial, restarted, m.opt.gravity,
-            self._ground, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
+            self._feet, d.qpos, d.qvel, d.qacc, d.qfrc_actuator, d.sensordata,
         )  # fmt: skip
 
     @property
@@ -290,12 +299,17 @@ class WarpSimulations:
     def write_fields(self, ids: Tensor, fields: Mapping[str, Tensor]) -> None:
         """Change fields of some simulations' models; see `aslip.sim.Simulations.write_fields`."""
         for name, rows in fields.items():
+            if name in self._places:
+                rows = quaternion_to_matrix(rows) if name == "geom_quat" else rows
+                self._places[name][ids[:, None], self._ground] = rows[:, self._ground].float()
+                continue
             field = self._fields[name]
             if name == "actuator_delay":
                 rows = torch.round(rows[:, 0] / self.model.opt.timestep)
             field[ids] = rows.to(field.dtype).reshape(len(ids), *field.shape[1:])
         if DERIVING_FIELDS & fields.keys():
             self._run("derive")
+        if (DERIVING_FIELDS | self._places.keys()) & fields.keys():
             self._update_derived()
 
     def watch(self, index: int | None) -> None:
@@ -352,6 +366,8 @@ def _field(model: mjw.Model, name: str) -> wp.array:
 def _without_delay(model: mujoco.MjModel) -> mujoco.MjModel:
     """Copy of a model whose motors act at once: torques wait in the ring."""
     copied = copy(model)
+    # Warp has no such phase to disable
+    copied.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     copied.actuator_delay[:] = 0.0
     copied.actuator_history[:] = 0
     return copied
