@@ -119,20 +119,10 @@ class Kinematics:
         )
 
     def _read_limits(self) -> None:
-        """Read the limits of the legs' hinges.
-
-        Pinocchio 4.1 measures angles from a joint's `ref`, as MuJoCo does, yet subtracts the `ref`
-        from the limits. Its bounds on quaternions of ball joints are not limits of the robot.
-        """
-        model, reference = self.model, self.model.referenceConfigurations["qpos0"]
-        hinge = np.isin(
-            self.leg_q, [model.idx_qs[j] for j in range(model.njoints) if model.nqs[j] == 1]
-        )
-        lower, upper = (
-            (limit + reference)[self.leg_q]
-            for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-        )
-        self.lower, self.upper = np.where(hinge, lower, -np.inf), np.where(hinge, upper, np.inf)
+        """Read the limits of the legs' hinges."""
+        joints, free = self.robot.skeleton.joints, (-np.inf, np.inf)
+        ranges = [[joints[name].range or free for name in leg] for leg in self.leg_joints]
+        self.lower, self.upper = np.moveaxis(np.array(ranges), -1, 0)
 
     def _read_loops(self, loops: Sequence[pin.PointAnchorConstraintModel]) -> None:
         """Assign the loops to legs, and find the rods that are free to spin."""

@@ -63,6 +63,7 @@ def _joint(model: mujoco.MjModel, joint: Any) -> Joint:
         qvel=int(joint.dofadr[0]),
         zero=float(model.qpos0[joint.qposadr[0]]) if kind in ("slide", "hinge") else 0.0,
         stiffness=float(joint.stiffness[0]),
+        range=_vector(joint.range) if joint.limited[0] else (),
     )
 
 

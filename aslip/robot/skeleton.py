@@ -37,6 +37,8 @@ class Joint(NamedTuple):
     """Position at the configuration in which the MJCF defines the bodies [rad]."""
     stiffness: float
     """Stiffness of its spring [N m/rad]."""
+    range: Vector
+    """Least and greatest position [rad, m]; empty without limits."""
 
 
 class Site(NamedTuple):
