@@ -27,7 +27,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "__main__": {"programs"},
     "robot": set(),
     "rom": set(),
-    "ik": {"robot"},
+    "ik": {"robot", "estimation"},
     "library": {"robot", "rom", "ik"},
     "estimation": {"robot"},
     "sim": {"robot"},
@@ -254,6 +254,7 @@ _CONTROL = {
     "from aslip.network.wire import Link": (),
     "from aslip.network.runner.__main__ import main": (),
     _ESTIMATION: ("numba", "scipy"),
+    "from aslip.ik import LegTable; LegTable()": ("numba", "scipy"),
 }
 
 

@@ -2,6 +2,7 @@ from .clearance import LegClearance as LegClearance
 from .dynamics import leg_torque as leg_torque
 from .dynamics import pelvis_axes as pelvis_axes
 from .kinematics import Kinematics as Kinematics
+from .legs import LegTable as LegTable
 from .solve import IkResidual as IkResidual
 from .solve import IkSolution as IkSolution
 from .solve import solve as solve
