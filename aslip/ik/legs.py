@@ -32,7 +32,6 @@ DEGREE: Final = 24
 # frames that the closed form is for, at angles of zero: axes of roll and yaw, plane of the leg
 _ROLL, _YAW = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 _PLANE = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
-_HIP_MOTORS = ("hip_roll", "hip_yaw", "hip_pitch", "knee", "foot")
 # soles are at least as far below the hip [m], and toes point at most as far to the side [rad]
 _LEAST_DEPTH, _LARGEST_HEADING = 0.2, 1.2
 # largest sine and Chebyshev variable, whose arcus has finite derivatives
@@ -75,7 +74,7 @@ class LegTable:
         inside = (pose.angle > leg.lower) & (pose.angle < leg.upper)
         jacobian = _jacobian(pose, heading) * inside[..., None]
         angle = pose.angle.clip(leg.lower, leg.upper)
-        return angle.reshape(*angle.shape[:-2], -1), jacobian
+        return angle.reshape(*angle.shape[:-2], 10), jacobian
 
     def torque(self, position: Array, heading: Array, force: Array) -> Array:
         """Motor torques that balance ground forces on the soles, as `static_torque`'s.
@@ -90,7 +89,7 @@ class LegTable:
         """
         leg = self._like(position)
         torque = _torque(leg, _pose(leg, position, heading), force)
-        return torque.reshape(*torque.shape[:-2], -1)
+        return torque.reshape(*torque.shape[:-2], 10)
 
     def _like(self, array: Array) -> _Leg:
         """Constants as arrays of the kind of another."""
@@ -286,7 +285,8 @@ def _leg(robot: Robot, side: str, chain: Chain) -> _Leg:
     toes = quaternion_to_matrix(np.array(site.quaternion))[:, 0]
     direction = complex(*toes[:2])
     centre = complex(*site.position[:2]) / direction
-    limits = np.array([skeleton.joints[f"{side}_{name}"].range for name in _HIP_MOTORS])
+    motors = [name for name in robot.motor_names if name.startswith(side)]
+    limits = np.array([skeleton.joints[name].range for name in motors])
     reach, table = _planar(chain, limits[3], np.array(skeleton.joints[f"{side}_tarsus"].range))
     ankle = -np.angle(direction) - chain.offset[4]
     _, back, drop = chain.hip_position[:, 2]

@@ -69,8 +69,9 @@ class Robot:
     """Biped with position-controlled motors, encoders and an inertial unit.
 
     A second robot is an MJCF and an instance of this class. `aslip.ik`, `aslip.library`,
-    `aslip.sim` and `aslip.envs.BatchEnv` work with any, `aslip.estimation` with Cassie's legs;
-    whatever is above them, such as transforms, policies and logs, is for Cassie only.
+    `aslip.sim` and `aslip.envs.BatchEnv` work with any, `aslip.estimation` and
+    `aslip.ik.LegTable` with Cassie's legs; whatever is above them, such as transforms, policies
+    and logs, is for Cassie only.
 
     Names are those of the MJCF, left before right. Arrays hold one value per motor, or per joint
     with an encoder, in the order of the names, and are read-only.
