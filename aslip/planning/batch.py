@@ -36,8 +36,21 @@ class BatchPlanner:
     def __init__(self, program: Program | None = None) -> None:
         self.program = program or Program()
 
-    def plan(self, state: WalkState, command: Array, stones: Stones | None = None) -> Plan:
-        """Plan footsteps, see `aslip.planning.Planner.plan`."""
+    def plan(
+        self,
+        state: WalkState,
+        command: Array,
+        stones: Stones | None = None,
+        shift: Array | None = None,
+    ) -> Plan:
+        """Plan footsteps, see `aslip.planning.Planner.plan`.
+
+        Args:
+            state: state of n robots.
+            command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
+            stones: stones in the frame of the state.
+            shift: (n, 2) displacement of the next foothold from the optimal one [m].
+        """
         program = self.program
         problem = program.problem(state, command)
         xp, cost = namespace(command), program.cost(problem)
@@ -52,7 +65,7 @@ class BatchPlanner:
             wished = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
             box = self._box(problem, steps, variable, of_body=near)
             if stones is None:
-                step = _clipped(wished, *box)
+                step = _clipped(wished if shift is None or k else wished + shift, *box)
             else:
                 places = self._places(problem, stones, k, foothold, wished, box)
                 stone, step, kept = self._choose(problem, stones, k, places, (foothold, height))

@@ -37,6 +37,15 @@ class PlanSample:
     lift_off: Array
     """(m, 3) where the other foot stood last [m]."""
 
+    @property
+    def ground(self) -> Array:
+        """(m,) height below the body, which follows the load in double stance [m]."""
+        xp, load = namespace(self.since), self.ground_force[..., 2]
+        rows = xp.arange(len(self.since), device=self.since.device)
+        share = load[rows, self.stance] / load.sum(-1)
+        stood = self.feet.position[rows, self.stance, 2]
+        return share * stood + (1 - share) * self.lift_off[:, 2]
+
     def state(self) -> WalkState:
         """State from which planning goes on if all went as planned."""
         return WalkState(

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import prod
 
-from aslip.base.arrays import Array, namespace
+from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.errors import ShapeError
+
+# of the fields of a state, without the robots
+_SHAPES = ((3,), (3,), *[(2, 3)] * 3, (2,), (3,), (), ())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,11 +47,57 @@ class WalkState:
     def __post_init__(self) -> None:
         """Check shapes."""
         n = len(self.since)
-        shapes = ((n, 3), (n, 3), *[(n, 2, 3)] * 3, (n, 2), (n, 3), (n,), (n,))
-        for field, shape in zip(fields(self), shapes, strict=True):
+        for field, shape in zip(fields(self), _SHAPES, strict=True):
+            shape = (n, *shape)
             found = tuple(getattr(self, field.name).shape)
             if found != shape:
                 raise ShapeError(f"{field.name} of a state must be {shape}, got {found}")
+
+    SIZE = 31
+    """Numbers of a robot's state."""
+
+    def to_rows(self) -> Array:
+        """(n, 31) all numbers, in the order of the fields."""
+        xp, n = namespace(self.since), len(self.since)
+        dtype = self.body_position.dtype
+        values = [getattr(self, field.name).reshape(n, -1) for field in fields(self)]
+        return xp.concatenate([xp.asarray(value, dtype=dtype) for value in values], -1)
+
+    @classmethod
+    def from_rows(cls, rows: Array) -> WalkState:
+        """State of rows (n, 31) of `to_rows`."""
+        n, at, values = len(rows), 0, {}
+        for field, shape in zip(fields(cls), _SHAPES, strict=True):
+            size = prod(shape)
+            values[field.name] = rows[:, at : at + size].reshape(n, *shape)
+            at += size
+        stance = values["stance"]
+        values["stance"] = stance.astype(int) if is_numpy(stance) else stance.long()
+        return cls(**values)
+
+    def seen_from(self, place: Array, turn: Array) -> WalkState:
+        """State in another frame, whose origin is at (n, 2) [m], turned by (n,) [rad]."""
+        xp = namespace(turn)
+        cosine, sine = xp.cos(turn), xp.sin(turn)
+
+        def turned(vector: Array) -> Array:
+            many = vector.ndim == 3
+            c, s = (cosine[:, None], sine[:, None]) if many else (cosine, sine)
+            x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+            return xp.stack([c * x + s * y, c * y - s * x, z], -1)
+
+        shift = xp.concatenate([place, 0 * place[:, :1]], -1)
+        return WalkState(
+            body_position=turned(self.body_position - shift),
+            body_velocity=turned(self.body_velocity),
+            foot_position=turned(self.foot_position - shift[:, None]),
+            foot_velocity=turned(self.foot_velocity),
+            foot_acceleration=turned(self.foot_acceleration),
+            foot_heading=self.foot_heading - turn[:, None],
+            lift_off=turned(self.lift_off - shift),
+            stance=self.stance,
+            since=self.since,
+        )
 
     @property
     def rows(self) -> Array:

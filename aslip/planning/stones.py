@@ -12,6 +12,8 @@ from aslip.errors import ConfigurationError
 
 # sine of the angle up to which a corner counts as straight, and least length of an edge [m]
 _STRAIGHT, _SHORT = 1e-9, 1e-6
+# where stones are put that do not exist [m]
+_FAR_AWAY = 1e3
 # share of a stone's half width that is left if it is smaller than the foot
 _LEFT = 0.1
 
@@ -70,6 +72,32 @@ class Stones:
         tops = np.asarray(heights, dtype=float)[None]
         return cls(
             normals, offsets, np.array([padded]), centres, tops, np.ones(tops.shape, dtype=bool)
+        )
+
+    @classmethod
+    def from_corners(cls, corners: Array, heights: Array) -> Stones:
+        """Stones of n robots.
+
+        Args:
+            corners: (n, m, e, 2) corners of convex polygons, counter-clockwise, NaN where is no
+                stone [m].
+            heights: (n, m) heights of the tops [m].
+        """
+        xp = namespace(corners)
+        present = xp.isfinite(corners).all(-1).all(-1)
+        corners = xp.where(
+            present[..., None, None], corners, _FAR_AWAY + 0 * present[..., None, None]
+        )
+        along = xp.roll(corners, -1, 2) - corners
+        length = ((along**2).sum(-1) + _SHORT**2) ** 0.5
+        normals = xp.stack([along[..., 1], -along[..., 0]], -1) / length[..., None]
+        return cls(
+            normals=normals,
+            offsets=(normals * corners).sum(-1),
+            corners=corners,
+            centres=corners.mean(2),
+            heights=xp.where(present, heights, 0 * length[..., 0]),
+            present=present,
         )
 
     def seen_from(self, position: Array, heading: Array) -> Stones:
