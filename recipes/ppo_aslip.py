@@ -44,12 +44,15 @@ from torchrl.record.loggers import Logger
 import aslip
 from aslip.base.decorators import on_cpu_in_single
 from aslip.envs import StackEnv, observation_keys
+from aslip.errors import ConfigurationError
 from aslip.policy import (
     MakeActor,
     PolicyShape,
     RunningNormalizer,
+    check_policy_fits,
     is_recurrent,
     keep_library,
+    load_policy,
     make_actor,
     make_critic,
     policy_interface,
@@ -132,6 +135,8 @@ def main(
             update_normalizers([actor, critic], next(training))
         for data in training:
             advantage(data)
+            learns = config.start is None or training.step >= config.critic_steps
+            loss.actor_network.requires_grad_(learns)
             losses = update(data, loss, optimizer, config) | annealed(config, training.step)
             update_normalizers([actor, critic], data)
             training.count(data)
@@ -175,10 +180,26 @@ def make_networks(
     shape = PolicyShape(size, env.action_spec.shape[-1], **settings)
     normalizer = RunningNormalizer(size)
     actor = make_actor(normalizer, shape, keys)
+    if config.start is not None:
+        start_from(config.start, actor, env)
     critic = make_critic(normalizer, shape, keys, scale=config.value_scale)
     for net in (actor, critic):
         net.to(config.device)
     return shape, normalizer, actor, critic
+
+
+def start_from(policy: str, actor: ProbabilisticActor, env: StackEnv) -> None:
+    """Give an actor the weights and statistics of a policy with the same observation.
+
+    Raises:
+        AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
+        ConfigurationError: the policy does not fit the environment, or has another network.
+    """
+    check_policy_fits(policy, env)
+    try:
+        actor.load_state_dict(load_policy(policy).state_dict())
+    except RuntimeError as error:
+        raise ConfigurationError(f"the policy {policy!r} has another network: {error}") from None
 
 
 def collector_class(config: Config, keys: Sequence[NestedKey]) -> Callable[..., Any]:

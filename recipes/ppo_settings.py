@@ -59,6 +59,10 @@ class Config(UserPaths):
     library: str | None = None
     """Library of gaits: a file or the name of a shipped one; by default that of the preset. The run
     keeps a copy."""
+    start: str | None = None
+    """Policy to start from: the name of a shipped one, a file or a run; by default a new one."""
+    critic_steps: int = 100_000
+    """Policy steps at the start in which only the critic of a given policy learns."""
     seed: int = 0
     """Seed of all random numbers."""
     device: str = "cpu"

@@ -32,10 +32,10 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "estimation": {"robot"},
     "sim": {"robot"},
     "planning": {"robot", "rom"},
-    "transforms": {"robot", "library", "estimation", "sim", "planning"},
-    "envs": {"robot", "library", "estimation", "sim", "transforms"},
+    "transforms": {"robot", "ik", "library", "estimation", "sim", "planning"},
+    "envs": {"robot", "library", "estimation", "sim", "planning", "transforms"},
     "policy": {"robot", "library", "transforms", "envs"},
-    "control": {"robot", "library", "estimation", "transforms", "policy"},
+    "control": {"robot", "library", "estimation", "planning", "transforms", "policy"},
     "training": {"robot", "sim", "transforms", "policy", "envs"},
     "walking": {"robot", "library", "transforms", "policy", "envs"},
     "show": {"robot", "rom", "library", "sim", "transforms", "policy", "envs"}

@@ -23,16 +23,18 @@ from aslip.control.steering import Steering
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.library import GaitLibrary
+from aslip.planning import BatchPlanner, Planner
 from aslip.policy import entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
+from aslip.transforms.planned import PlannedReference
 from aslip.transforms.reference import feedforward_target
 
 # groups of entries that each step overwrites
-_FRESH = ("estimate", "odometry", "estimator", "reference", "target", "clock")
+_FRESH = ("estimate", "odometry", "estimator", "reference", "target", "plan", "clock")
 PATH_ERROR = ("odometry", "path_error")
 """Key of the distance from the commanded path, for which robots' own estimates need positions."""
 
@@ -106,6 +108,9 @@ class Controller(ControllerBase[ControllerState]):
             `COMMAND_RATES`.
         stands: True for robots that take stand commands; by default as the policy's file says,
             False for a module.
+        planner: planner of the footsteps that the policy follows, see `PlannedReference`; policies
+            of the stack `planned` have one by default. Stones are entries of
+            `ControllerState.tensordict`.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -126,7 +131,9 @@ class Controller(ControllerBase[ControllerState]):
         motor_lead: float = 1.0,
         command_rates: Sequence[float] | None = None,
         stands: bool | None = None,
+        planner: BatchPlanner | Planner | None = None,
     ) -> None:
+        plans = planner is not None
         if isinstance(policy, str | Path):
             card = read_card(policy)
             observation = observation or [_key(name) for name in card["observation"]]
@@ -138,6 +145,7 @@ class Controller(ControllerBase[ControllerState]):
             baseline = baseline or _key(card["baseline"])
             command_rates = card["command_rates"] if command_rates is None else command_rates
             stands = card["stands"] if stands is None else stands
+            plans |= card["stack"] == "planned"
             library = policy_library(policy, library)
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
@@ -155,6 +163,7 @@ class Controller(ControllerBase[ControllerState]):
         self.command_size, self.stands = library.command_size, bool(stands)
         self.steering = Steering(library, self.command_rates, self.stands, motor_lead)
         self._along_path = self.steering.along_path
+        self._planned = PlannedReference(library, planner, stands=self.stands) if plans else None
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
@@ -169,6 +178,7 @@ class Controller(ControllerBase[ControllerState]):
         command, num = self._nearest(given.command), len(given.rows)
         commands = self.steering.begin(command, torch.from_numpy(phase), _tensor(given.stand))
         if given.own_estimates:
+            self._check_packets()
             entries = start_entries(given.rows, given.heading, self.robot, self._along_path)
         else:
             origin = torch.zeros(num, 3) if self._along_path else None
@@ -192,7 +202,19 @@ class Controller(ControllerBase[ControllerState]):
                 **commands,
             }
         )
-        return self.act(present)
+        return self.act(present, past)
+
+    def _check_packets(self) -> None:
+        """Check that no planner needs packets.
+
+        Raises:
+            ConfigurationError: one does.
+        """
+        if self._planned is not None:
+            raise ConfigurationError(
+                "a planner needs the packets of the sensors, which tell when feet land; robots' own"
+                " estimates do not"
+            )
 
     def _followed(self, past: TensorDictBase, given: Given, mode: Tensor | None) -> dict[str, Any]:
         """Entries of robots after their packets, or after their own estimates."""
@@ -216,11 +238,12 @@ class Controller(ControllerBase[ControllerState]):
 
     @torch.no_grad()
     @on_cpu_in_single
-    def act(self, present: TensorDictBase) -> ControllerState:
+    def act(self, present: TensorDictBase, past: TensorDictBase | None = None) -> ControllerState:
         """Compute motor targets from estimate, command and phase, as `start` and `step` do.
 
         Args:
             present: entries (n,) of a policy step up to the phase; changed in place.
+            past: entries of the step before, which planned footsteps go on from; None to begin.
 
         Returns:
             State with reference, observation, action and motor targets.
@@ -228,10 +251,16 @@ class Controller(ControllerBase[ControllerState]):
         Raises:
             UnknownNameError: the policy observes an entry that does not exist.
         """
-        reference, target = self.steering.reference(cast("Mapping[str, Tensor]", present))
-        reference["motor_target"] = feedforward_target(reference, *self._gains)
-        clock = clock_entries(cast("Tensor", present["phase"]))
-        present.update({"reference": reference, "target": target, "clock": clock})
+        if self._planned is None:
+            reference, target = self.steering.reference(cast("Mapping[str, Tensor]", present))
+            present.update({"reference": reference, "target": target})
+        elif past is None:
+            self._planned.begin(present)
+        else:
+            self._planned.go_on(past, present)
+        reference = cast("Mapping[str, Tensor]", present["reference"])
+        present["reference", "motor_target"] = feedforward_target(reference, *self._gains)
+        present["clock"] = clock_entries(cast("Tensor", present["phase"]))
         if "last_action" not in present:
             present["last_action"] = torch.zeros_like(reference["motor_position"])
         for key in (*self.observation, self.baseline):

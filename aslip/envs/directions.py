@@ -11,9 +11,10 @@ from torch import Tensor
 
 from aslip.envs import RewardSource
 from aslip.envs.edit import Stack, insert_before
-from aslip.envs.straight import shipped_library, stack_of, terms_of
+from aslip.envs.straight import REWARD_SOURCES, shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.planning import BatchPlanner, Planner
 from aslip.transforms import (
     DIRECTION_TABLE,
     AssembleObservation,
@@ -21,6 +22,7 @@ from aslip.transforms import (
     EstimatedState,
     HeadingFrame,
     PhaseClock,
+    PlannedReference,
     ReferenceInjection,
     ReferenceStart,
     RewardTerm,
@@ -31,7 +33,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, PLANNED_WEIGHTS
 from aslip.transforms.standing import required_transitions
 
 # headings of the target that reward terms read on turns
@@ -124,3 +126,35 @@ def directions_stack(
         "estimator": EstimatedState(command_key=_FILTERED, mode_key="mode"),
     }
     return insert_before(stack, "reference", stand=StandCommand())
+
+
+def planned_stack(
+    library: GaitLibrary | None = None,
+    reward_on: RewardSource = "truth",
+    planner: BatchPlanner | Planner | None = None,
+) -> Stack:
+    """Stack of `directions_stack` in which a planner decides where and when the feet land.
+
+    Its `PlannedReference` comes after the estimator, and it has a reward for feet at their planned
+    places. Robots that stop, stand and start follow the library.
+
+    Args:
+        library: gait library over three commands, with stop and start; the shipped one by default.
+        reward_on: source of pelvis and feet in the rewards.
+        planner: see `PlannedReference`.
+
+    Raises:
+        ConfigurationError: commands of the library do not have three numbers, or it has no stop and
+            start.
+    """
+    library = shipped_library("directions") if library is None else library
+    stack = directions_stack(library, reward_on)
+    del stack["reference"]
+    feedforward = stack.pop("feedforward")
+    reference = PlannedReference(library, planner, stands=True)
+    # the last action comes first in the observation's part of the stack, as in `walking_stack`
+    stack = insert_before(stack, "action", reference=reference, feedforward=feedforward)
+    feet = ("left_foot_position", "right_foot_position")
+    apart = ([(REWARD_SOURCES[reward_on], foot) for foot in feet], [("target", f) for f in feet])
+    stack = insert_before(stack, "reward", **terms_of({rewards.feet_apart: apart}))
+    return stack | {"reward": WeightedReward(PLANNED_WEIGHTS)}

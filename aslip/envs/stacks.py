@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from aslip.envs.directions import directions_stack, walking_stack
+from aslip.envs.directions import directions_stack, planned_stack, walking_stack
 from aslip.envs.edit import Stack, needs_simulation, require_names
 from aslip.envs.straight import default_stack, paper_stack, shipped_library, single_reference_stack
 from aslip.library import GaitLibrary
@@ -27,6 +27,7 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "single_reference": single_reference_stack,
     "walking": walking_stack,
     "directions": directions_stack,
+    "planned": planned_stack,
 }
 """Name of a stack -> function of gait library and `reward_on` that makes it."""
 

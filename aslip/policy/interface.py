@@ -23,6 +23,7 @@ from aslip.transforms import (
     AssembleObservation,
     CommandFilter,
     PhaseClock,
+    PlannedReference,
     ReferenceInjection,
     StandClock,
 )
@@ -47,8 +48,9 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
 
 
 def reference_library(env: StackEnv) -> GaitLibrary | None:
-    """Gaits that the reference of an environment is looked up in; None for another reference."""
-    return next((t.library for t in env.transforms if isinstance(t, ReferenceInjection)), None)
+    """Gaits of an environment's reference, in which plans start; None for another reference."""
+    kinds = ReferenceInjection | PlannedReference
+    return next((t.library for t in env.transforms if isinstance(t, kinds)), None)
 
 
 def stack_name(env: StackEnv) -> str | None:
@@ -66,7 +68,8 @@ def stack_name(env: StackEnv) -> str | None:
     turning = library.command_size == 3
     possible = ["straight", "paper", "single_reference"]
     if turning:
-        possible = ["directions" if stands(env) else "walking"]
+        plans = any(isinstance(t, PlannedReference) for t in env.transforms)
+        possible = ["planned" if plans else "directions" if stands(env) else "walking"]
     for name in possible:
         stack = STACKS[name](library if turning else None)
         if keys == (_observation_keys([stack["observation"]]), _baseline_key(stack["action"])):

@@ -21,6 +21,7 @@ from .estimate import ODOMETRY_SIZES as ODOMETRY_SIZES
 from .estimate import PATH_SIZES as PATH_SIZES
 from .estimate import EstimatedState as EstimatedState
 from .estimate import TrueState as TrueState
+from .footsteps import RandomFootsteps as RandomFootsteps
 from .heading import HeadingFrame as HeadingFrame
 from .noise import NoiseLevel as NoiseLevel
 from .noise import ObservationNoise as ObservationNoise
@@ -28,6 +29,8 @@ from .observation import DIRECTION_TABLE as DIRECTION_TABLE
 from .observation import OBSERVATION_TABLE as OBSERVATION_TABLE
 from .observation import SINGLE_REFERENCE_TABLE as SINGLE_REFERENCE_TABLE
 from .observation import AssembleObservation as AssembleObservation
+from .planned import PLAN_SIZES as PLAN_SIZES
+from .planned import PlannedReference as PlannedReference
 from .pushes import RandomPushes as RandomPushes
 from .randomise import DYNAMICS_RANGES as DYNAMICS_RANGES
 from .randomise import WIDE_RANGES as WIDE_RANGES

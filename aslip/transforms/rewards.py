@@ -1,7 +1,8 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and five of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and six of our own.
 
 Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
-the largest force on a foot, and friction that the feet spend against each other. Every term is
+the largest force on a foot, and friction that the feet spend against each other; and the place of
+one foot relative to the other. Every term is
 :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper; the
 public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
 
@@ -56,6 +57,22 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
 `path_diff` takes the place of `straight_diff`; the terms for heading, power, landings and squeezing
 are new."""
+
+PLANNED_WEIGHTS: Final = MappingProxyType(
+    {
+        "com_vel": 0.08,
+        "foot_pos": 0.12,
+        "path_diff": 0.1,
+        "heading_diff": 0.1,
+        "foot_orient": 0.05,
+        "action_diff": 0.05,
+        "power": 0.08,
+        "landing": 0.12,
+        "squeeze": 0.05,
+        "feet_apart": 0.25,
+    }
+)
+"""Weights of the reward for walks of a planner; they sum to one."""
 
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
@@ -262,3 +279,26 @@ def _from_toes(orientation: Tensor, heading: Tensor | None) -> Tensor:
     if heading is None:
         return orientation
     return multiply(conjugate(vertical_quaternion(heading)), orientation)
+
+
+def feet_apart(
+    left_foot_position: Tensor,
+    right_foot_position: Tensor,
+    left_reference: Tensor,
+    right_reference: Tensor,
+    scale: float = 0.05,
+) -> Tensor:
+    r""":math:`\exp(-\|(l - r) - (\hat l - \hat r)\| / s)`, one foot relative to the other.
+
+    The foot in stance is where it is, so that this is the distance of the swing foot from its
+    planned place, whatever the body does. Ours, for footholds that must be hit.
+
+    Args:
+        left_foot_position: (*b, 3) [m, world].
+        right_foot_position: (*b, 3) [m, world].
+        left_reference: (*b, 3) left foot minus body [m, same axes].
+        right_reference: (*b, 3) right foot minus body [m, same axes].
+        scale: distance s at which the term is 1/e [m].
+    """
+    apart = left_foot_position - right_foot_position
+    return torch.exp(-_norm(apart - left_reference + right_reference) / scale)

@@ -14,12 +14,16 @@ from aslip.control import Controller
 from aslip.control.estimates import standing_estimate
 from aslip.control.steering import Steering
 from aslip.envs import StackEnv
+from aslip.envs.directions import planned_stack
+from aslip.envs.edit import Stack
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, WalkMode
 from aslip.network.runner.supervisor import Limits
+from aslip.planning import BatchPlanner, Planner
 from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
+from aslip.transforms.planned import default_planner
 from tests.control.helpers import compare_rollouts, small_actions
 from tests.library.bent import symmetric_library
 from tests.library.standing import policy_files, slower_library, standing_library
@@ -34,9 +38,13 @@ def _without_gaits(path: Path) -> Path:
     return copy
 
 
-def _controller(stands: bool = True) -> Controller:
+def _controller(stands: bool = True, planner: BatchPlanner | Planner | None = None) -> Controller:
     return Controller(
-        small_actions(0.02), standing_library(), observation=DIRECTION_TABLE, stands=stands
+        small_actions(0.02),
+        standing_library(),
+        observation=DIRECTION_TABLE,
+        stands=stands,
+        planner=planner,
     )
 
 
@@ -45,10 +53,10 @@ def env() -> StackEnv:
     return _make(3)
 
 
-def _make(num: int) -> StackEnv:
+def _make(num: int, stack: Stack | str = "directions") -> StackEnv:
     return aslip.make_env(
-        stack="directions",
-        library=standing_library(),
+        stack=stack,
+        library=standing_library() if isinstance(stack, str) else None,
         num_envs=num,
         seed=9,
         num_threads=1,
@@ -75,6 +83,27 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
     )
     modes = {mode for entries in walk for mode in cast("Any", entries)["mode"].flatten().tolist()}
     assert len(modes) == 4 or num == 1
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("planner", [default_planner(), Planner()], ids=["batch", "exact"])
+def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
+    planner: BatchPlanner | Planner,
+) -> None:
+    """With noise, turns past a half turn, stops, starts, falls and resets."""
+
+    def change(step: int, td: TensorDictBase) -> None:
+        td["stand"] = torch.full_like(td["stand"], float(25 < step < 45))
+        td["command"] = torch.tensor([[0.1, 0.0, 0.2 - 0.01 * step]])
+
+    first = TensorDict(
+        command=torch.tensor([[0.1, 0, 0.1]]), heading=torch.tensor([[3.1]]), batch_size=1
+    )
+    env = _make(1, planned_stack(standing_library(), planner=planner))
+    keys = ("motor_target", "observation", "phase", "mode", ("plan", "foothold"))
+    controller = _controller(planner=planner)
+    policy = small_actions(0.02)
+    list(compare_rollouts(env, policy, controller, keys, change, steps=60, first=first))
 
 
 def test_a_stand_command_stays_until_the_next(env: StackEnv) -> None:

@@ -1,0 +1,324 @@
+"""Reference motion of a planner, which decides where and when the feet land."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final, cast
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.base.checks import check_number
+from aslip.estimation import Tracking
+from aslip.ik import LegTable
+from aslip.library import GaitLibrary, WalkMode
+from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, WalkState
+from aslip.robot import CASSIE, SIDES
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
+from aslip.transforms.estimate import ODOMETRY_SIZES, PATH_SIZES
+from aslip.transforms.path import wrap
+from aslip.transforms.plan_start import phase_of, start_state
+from aslip.transforms.reference import reference_and_target
+from aslip.transforms.rotation import rotate_about_vertical
+
+PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
+    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1}
+)
+"""Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
+columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; and the
+number of first footholds that stones allow, see `Plan.on_stones`."""
+
+_MOTORS = ("motor_position", "motor_velocity", "motor_torque")
+_VECTORS = (
+    *("body_position", "body_velocity"),
+    *(f"{side}_foot_{name}" for side in SIDES for name in ("position", "velocity")),
+)
+_HEADINGS = ("body_heading", *(f"{side}_foot_heading" for side in SIDES))
+_ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for side in SIDES))
+# read where they are
+_OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
+# vertical force on a foot from which it is loaded, if the estimate is the truth [N]
+_LOADED = 50.0
+# limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
+_FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
+# height of the body above the ground in the library's gaits [m]
+_HEIGHT = 0.875
+
+
+def default_planner() -> BatchPlanner:
+    """Planner of all robots at once, of bodies as high as in the shipped library."""
+    return BatchPlanner(Program(Pendulum(height=_HEIGHT)))
+
+
+class PlannedReference(SeededTransform):
+    """Write a plan's motion as `("reference", ...)` and `("target", ...)`, replanned at every step.
+
+    It takes the place of `ReferenceInjection`, after the estimator, and writes the same entries. A
+    plan goes on from the state to which the last one led, drawn to the estimate: body and stance
+    foot move there by a share of the distance, and a swing foot stays on its path, which the new
+    plan bends without a jump in position or velocity.
+
+    The moving frame is below the plan's body, so that positions of the body in reference and target
+    are zero along the ground. The origin of `("odometry", ...)` moves there, too: `path_error` is
+    the distance of the pelvis from the plan's body. Also writes `("plan", ...)`, see `PLAN_SIZES`.
+
+    If there are stones, `("stones", "corners")` (n, m, e, 2) and `("stones", "height")` (n, m)
+    [m, frame of the odometry], feet land on them; NaN where is no stone. `("footsteps", "shift")`
+    (n, 2) displaces the next foothold from the best one [m].
+
+    Robots with a stand command stop, stand and start as the library does; the phase of those that
+    walk is the plan's.
+
+    Args:
+        library: gaits on which episodes start, with stop and start if robots stand.
+        planner: a `BatchPlanner`, by default, or a `Planner`, which is exact and slower.
+        follow: share of the distance to the estimate by which a plan moves in a policy step.
+        command_key: key of the command (n, 3) to plan for.
+        stands: whether there are `mode` and `stand`, see `StandClock`.
+
+    Raises:
+        ConfigurationError: `follow` is not between 0 and 1.
+    """
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        planner: BatchPlanner | Planner | None = None,
+        *,
+        follow: float = 0.5,
+        command_key: NestedKey = "filtered_command",
+        stands: bool = False,
+    ) -> None:
+        keys: list[NestedKey] = [command_key, "phase", *(("mode", "stand") if stands else ())]
+        keys += [("odometry", name) for name in (*ODOMETRY_SIZES, *PATH_SIZES)]
+        super().__init__(keys, ["reference", "target", "plan"])
+        self.library, self.legs = library, LegTable()
+        self.planner = default_planner() if planner is None else planner
+        self.follow = check_number("follow", follow, 0.0, 1.0)
+        self._command_key, self._stands = command_key, stands
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        rows = reset_rows(tensordict)
+        part = tensordict_reset.select(*self.in_keys, *_OPTIONAL, strict=False)
+        found = self.begin(part if rows is None else cast("TensorDictBase", part[rows]))
+        for key in (*self.out_keys, "odometry"):
+            value = found[key]
+            tensordict_reset.set(key, value if rows is None else _spread(value, rows))
+        return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self.go_on(tensordict, next_tensordict)
+
+    def begin(self, present: TensorDictBase) -> TensorDictBase:
+        """Write the entries of robots that start, with those that the transform reads; in place."""
+        phase = cast("Tensor", present["phase"])
+        return self._written(present, self._started(present)).set("phase", phase)
+
+    def go_on(self, past: TensorDictBase, present: TensorDictBase) -> TensorDictBase:
+        """Write the entries a policy step after `past`, see `begin`; in place."""
+        led = WalkState.from_rows(cast("Tensor", past["plan", "state"]))
+        state = self._drawn(led.seen_from(*_frame_between(past, present)), present)
+        if self._stands:
+            begins = cast("Tensor", past["mode"]) != WalkMode.WALK
+            first = self._started(present).to_rows()
+            state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
+        return self._written(present, state)
+
+    def _started(self, found: TensorDictBase) -> WalkState:
+        odometry = cast("TensorDictBase", found["odometry"])
+        pelvis, _, left, right = (cast("Tensor", odometry[name]) for name in _ODOMETRY)
+        ground = torch.minimum(left[:, 2:], right[:, 2:])
+        phase, command = (cast("Tensor", found[key]) for key in ("phase", self._command_key))
+        return start_state(self.library, phase, command, pelvis, ground)
+
+    def _drawn(self, state: WalkState, found: TensorDictBase) -> WalkState:
+        """State, drawn to the estimate: body along the ground, and the foot in stance."""
+        odometry = cast("TensorDictBase", found["odometry"])
+        position, velocity, *feet = (cast("Tensor", odometry[name]) for name in _ODOMETRY)
+        contact = _contact(found)
+        stance = torch.arange(2, device=contact.device) == state.stance[:, None]
+        share = torch.where(stance & contact, self.follow, 0.0)[..., None]
+        foot = torch.lerp(state.foot_position, torch.stack(feet, 1), share)
+        stood = state.of_foot(foot, swing=False)
+        level = torch.tensor([self.follow, self.follow, 0.0], device=contact.device)
+        body = torch.lerp(state.body_position, position, level)
+        speed = torch.lerp(state.body_velocity, velocity, level)
+        return replace(
+            state,
+            body_position=stood + (body - stood).clamp(-_FAR, _HIGH),
+            body_velocity=speed.clamp(-_FAST, _FAST),
+            foot_position=foot,
+        )
+
+    def _written(self, into: TensorDictBase, state: WalkState) -> TensorDictBase:
+        """Plan from a state, and write reference, target, plan, odometry and phase."""
+        shift = state.body_position[:, :2].clone()
+        now, later, plan = self._planned(into, state.seen_from(shift, 0 * shift[:, 0]), shift)
+        turn = later.heading.angle
+        reference = _entries_of(now, 0 * turn) | self._motors(now, later)
+        target = _entries_of(later, turn)
+        if self._stands:
+            command, phase = (cast("Tensor", into[key]) for key in (self._command_key, "phase"))
+            mode, stand = (cast("Tensor", into[key]) for key in ("mode", "stand"))
+            walks = mode == WalkMode.WALK
+            planned = phase_of(state, plan["time"], self.library.stride(command))
+            phase = torch.where(walks, planned, phase)
+            others = reference_and_target(self.library, command, phase, standing=(mode, stand))
+            reference, target = (
+                {name: torch.where(walks, value, other[name]) for name, value in own.items()}
+                for own, other in zip((reference, target), others, strict=True)
+            )
+            shift = torch.where(walks, shift, 0.0)
+            into.set("phase", phase)
+        for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
+            into.set(key, TensorDict(entries, into.batch_size))
+        return _recentred(into, shift)
+
+    def _planned(
+        self, found: TensorDictBase, state: WalkState, shift: Tensor
+    ) -> tuple[Any, Any, dict[str, Tensor]]:
+        """`PlanSample`s of tensors, now and a policy step later, and the entries of the plan."""
+        command = cast("Tensor", found[self._command_key])
+        given: dict[str, Any] = {}
+        if found.get("stones", None) is not None:
+            corners = cast("Tensor", found["stones", "corners"]) - shift[:, None, None]
+            given["stones"] = (corners, found["stones", "height"])
+        if found.get("footsteps", None) is not None:
+            given["shift"] = found["footsteps", "shift"]
+        planner: Any = self.planner
+        exact = isinstance(planner, Planner)
+        if exact:
+            state, command, given = _mapped(_to_numpy, (state, command, given))
+        if "stones" in given:
+            given["stones"] = Stones.from_corners(*given["stones"])
+        plan = planner.plan(state, command, **given)
+        period = 0 * command[:, 0] + CASSIE.policy_period
+        now, later = (plan.sample(time) for time in (0 * period, period))
+        written = {
+            "state": later.state().to_rows(),
+            "foothold": plan.foothold[:, 0],
+            "time": plan.time[:, :1],
+            "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
+        }
+        return _mapped(_to_tensor, (now, later, written)) if exact else (now, later, written)
+
+    def _motors(self, now: Any, later: Any) -> dict[str, Tensor]:
+        """Motor angles, velocities and torques of a sample a policy step later."""
+        yaw, rate = (one[:, None] for one in (later.heading.angle, later.heading.rate))
+        position, velocity, force = (
+            _turned(vector, -yaw)
+            for vector in (
+                later.feet.position - later.body.position[:, None],
+                later.feet.velocity - later.body.velocity[:, None],
+                later.ground_force,
+            )
+        )
+        x, y, _ = position.unbind(-1)
+        velocity = velocity + torch.stack([rate * y, -rate * x, torch.zeros_like(x)], -1)
+        heading = later.foot_heading - yaw
+        turning = (later.foot_heading - now.foot_heading) / CASSIE.policy_period - rate
+        angle, by_target = self.legs.motors(position, heading)
+        moves = torch.cat([velocity, turning[..., None]], -1)[..., None]
+        torque = self.legs.torque(position, heading, force)
+        motors = (angle, (by_target @ moves)[..., 0].flatten(-2), torque)
+        return dict(zip(_MOTORS, motors, strict=True))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the fields of reference and target, and the plan."""
+        require_keys(self, observation_spec, self.in_keys)
+        target = dict.fromkeys(_VECTORS, 3) | dict.fromkeys(_HEADINGS, 1)
+        reference = target | dict.fromkeys(_MOTORS, len(CASSIE.stiffness))
+        for key, sizes in zip(self.out_keys, (reference, target, PLAN_SIZES), strict=True):
+            group = Composite(shape=observation_spec.shape)
+            observation_spec[key] = extend_spec(group, sizes)
+        return observation_spec
+
+
+def _entries_of(sample: Any, turn: Tensor) -> dict[str, Tensor]:
+    """Entries of body and feet (n, k) in a frame below the body that has turned by (n,) [rad]."""
+    turn = turn[:, None]
+    height = sample.body.position[:, 2] - sample.ground
+    level = torch.nn.functional.pad(height[:, None], (2, 0))
+    feet = sample.feet.position - sample.body.position[:, None]
+    vectors = [level, rotate_about_vertical(sample.body.velocity, -turn)]
+    for foot, velocity in zip(feet.unbind(1), sample.feet.velocity.unbind(1), strict=True):
+        vectors += [rotate_about_vertical(vector, -turn) for vector in (foot, velocity)]
+    headings = [sample.heading.angle[:, None], *sample.foot_heading.split(1, -1)]
+    entries = dict(zip(_VECTORS, vectors, strict=True))
+    return entries | {n: h - turn for n, h in zip(_HEADINGS, headings, strict=True)}
+
+
+def _recentred(into: TensorDictBase, shift: Tensor) -> TensorDictBase:
+    """Move the origin of the odometry along the ground by (n, 2) [m, heading frame]; in place."""
+    odometry = cast("TensorDictBase", into["odometry"])
+    level = torch.nn.functional.pad(shift, (0, 1))
+    moved = {n: v - level for n, v in odometry.items() if n.endswith("_position")}
+    moved["path_error"] = odometry["path_error"] - shift
+    turned = rotate_about_vertical(level, _heading(into))
+    return into.set("odometry", odometry.update(moved | {"origin": odometry["origin"] + turned}))
+
+
+def _frame_between(past: TensorDictBase, present: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """Place (n, 2) [m] and yaw (n,) [rad] of the odometry's frame, seen from the one before."""
+    before, after = (cast("Tensor", td["odometry", "origin"]) for td in (past, present))
+    heading, turned = _heading(past), _heading(present)
+    moved = rotate_about_vertical(after - before, -heading)
+    return moved[:, :2], wrap(turned - heading)[:, 0]
+
+
+def _heading(found: TensorDictBase) -> Tensor:
+    """(n, 1) yaw of the heading frame; robots without that entry have it in the estimator [rad]."""
+    heading = found.get("heading", None)
+    if heading is None:
+        memory = cast("Tensor", found["estimator", "memory"])
+        heading = Tracking.from_rows(memory).heading[:, None].float()
+    return heading
+
+
+def _contact(found: TensorDictBase) -> Tensor:
+    """(n, 2) bool, loaded feet; of robots whose estimate is the truth, by the true forces."""
+    contact = found.get(("estimator", "contact"), None)
+    if contact is None:
+        contact = cast("Tensor", found["truth", "ground_force"])[..., 2] > _LOADED
+    return contact
+
+
+def _spread(value: Any, rows: Tensor) -> Any:
+    """Entry, or group of entries, of the robots in a mask, see `spread`."""
+    if isinstance(value, Tensor):
+        return spread(value, rows)
+    whole = {name: spread(entry, rows) for name, entry in value.items()}
+    return TensorDict(whole, rows.shape)
+
+
+def _to_numpy(value: Tensor) -> np.ndarray:
+    return value.double().numpy() if value.is_floating_point() else value.numpy()
+
+
+def _to_tensor(value: np.ndarray) -> Tensor:
+    tensor = torch.as_tensor(value)
+    return tensor.float() if tensor.is_floating_point() else tensor
+
+
+def _mapped(function: Callable[[Any], Any], value: Any) -> Any:
+    """Value with a function applied to all arrays in it."""
+    if isinstance(value, tuple):
+        return tuple(_mapped(function, item) for item in value)
+    if isinstance(value, dict):
+        return {key: _mapped(function, item) for key, item in value.items()}
+    if is_dataclass(value):
+        return type(value)(**_mapped(function, vars(value)))
+    return function(value)
+
+
+def _turned(vector: Tensor, yaw: Tensor) -> Tensor:
+    """Vectors (n, 2, 3) of the feet, turned by (n, 1) [rad]."""
+    return rotate_about_vertical(vector, yaw[:, None].expand(*vector.shape[:-1], 1))

@@ -1,0 +1,135 @@
+"""References of a planner: motion without jumps, feet at their places, stones, random footsteps."""
+
+from typing import Any, cast
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Unbounded
+
+import aslip
+from aslip.envs import StackEnv, insert_before
+from aslip.envs.directions import planned_stack
+from aslip.envs.straight import shipped_library
+from aslip.errors import ConfigurationError
+from aslip.ik import LegTable
+from aslip.planning import Planner, WalkState
+from aslip.policy import load_policy
+from aslip.robot import SIDES
+from aslip.transforms import PlannedReference, RandomFootsteps, SeededTransform
+from aslip.transforms.base import extend_spec
+
+NUM = 6
+
+
+def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> TensorDictBase:
+    """Entries (NUM, steps) of walks of a policy."""
+    start = TensorDict({"command": torch.tensor([[0.5, 0.0, 0.3]] * NUM), **first}, [NUM])
+    policy, found = load_policy("directions"), []
+    td = env.reset(start)
+    for _ in range(steps):
+        found.append(td)
+        td["command"] = start["command"]
+        td = env.step_mdp(env.step(policy(td)))
+    return torch.stack(found, 1)
+
+
+@pytest.fixture(scope="module")
+def walk() -> TensorDictBase:
+    stack = insert_before(planned_stack(), "reference", footsteps=RandomFootsteps(interval=0.2))
+    env = aslip.make_env(num_envs=NUM, seed=3, stack=stack, drop=["low_reward"])
+    heading = torch.linspace(2.8, 3.4, NUM)[:, None]
+    return _walk(env, heading=heading, stand=torch.zeros(NUM, 1))
+
+
+def test_plans_go_on_where_they_led(walk: TensorDictBase) -> None:
+    """Swing feet stay on their path while footholds change, also where the heading wraps."""
+    target, reference = walk["target"][:, :-1], walk["reference"][:, 1:]
+    led = WalkState.from_rows(walk["plan", "state"][:, :-1].flatten(0, 1))
+    swing = (led.stance[:, None] != torch.arange(2)).reshape(NUM, -1, 2)
+    for i, side in enumerate(SIDES):
+        moves = (reference[f"{side}_foot_velocity"] - target[f"{side}_foot_velocity"])[
+            swing[..., i]
+        ]
+        turns = (reference[f"{side}_foot_heading"] - target[f"{side}_foot_heading"])[swing[..., i]]
+        assert moves.abs().max() < 1e-4
+        assert turns.abs().max() < 1e-4
+    jumps = (walk["plan", "foothold"][:, 1:] - walk["plan", "foothold"][:, :-1]).norm(dim=-1)
+    assert jumps.max() > 0.1
+    assert walk["heading"].amin() < -3
+    assert walk["heading"].amax() > 3
+
+
+def test_motors_put_feet_where_the_target_says(walk: TensorDictBase) -> None:
+    target = walk["target"]
+    feet = torch.stack([target[f"{side}_foot_position"] for side in SIDES], -2)
+    toes = torch.cat([target[f"{side}_foot_heading"] for side in SIDES], -1)
+    # the frame turns with the body
+    angle, _ = LegTable().motors(feet, toes - target["body_heading"])
+    torch.testing.assert_close(walk["reference", "motor_position"], angle, rtol=0, atol=2e-5)
+
+
+def test_random_footsteps_displace_the_next_foothold() -> None:
+    walks = {}
+    for size in (0.0, 0.1):
+        steps = RandomFootsteps(size, 0.0, share=1.0)
+        stack = insert_before(planned_stack(), "reference", footsteps=steps)
+        env = aslip.make_env(num_envs=NUM, seed=3, stack=stack)
+        walks[size] = env.reset(TensorDict({"stand": torch.zeros(NUM, 1)}, [NUM]))
+    moved = walks[0.1]["plan", "foothold"] - walks[0.0]["plan", "foothold"]
+    shift = walks[0.1]["footsteps", "shift"]
+    assert moved[:, :2].norm(dim=-1).max() > 0.05
+    torch.testing.assert_close(moved[:, :2], shift, rtol=0, atol=0.05)
+
+
+class OneStone(SeededTransform):
+    """A stone of 30 cm ahead of the odometry's pelvis, and places without stones."""
+
+    def __init__(self) -> None:
+        keys: Any = [("stones", "corners"), ("stones", "height")]
+        super().__init__([("odometry", "pelvis_position")], keys)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        at = cast("torch.Tensor", next_tensordict["odometry", "pelvis_position"])[:, None, None, :2]
+        square = 0.15 * torch.tensor([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+        stone = at + square + torch.tensor([0.3, 0.0])
+        nowhere = torch.full_like(stone, float("nan"))
+        next_tensordict.set(("stones", "corners"), torch.cat([nowhere, stone], 1))
+        return next_tensordict.set(("stones", "height"), torch.zeros(len(at), 2))
+
+    def transform_observation_spec(self, observation_spec: Any) -> Any:
+        extend_spec(observation_spec, {("stones", "height"): 2})
+        corners = observation_spec["stones", "height"].shape[:-1]
+        observation_spec["stones", "corners"] = Unbounded((*corners, 2, 4, 2))
+        return observation_spec
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_feet_land_on_stones(exact: bool) -> None:
+    planner = Planner(aslip.transforms.planned.default_planner().program) if exact else None
+    stack = insert_before(planned_stack(planner=planner), "reference", stones=OneStone())
+    env = aslip.make_env(num_envs=NUM, seed=3, stack=stack)
+    start = {"command": torch.tensor([[0.6, 0.0, 0.0]] * NUM), "stand": torch.zeros(NUM, 1)}
+    td = env.reset(TensorDict(start, [NUM]))
+    place = td["plan", "foothold"][:, :2] - td["odometry", "pelvis_position"][:, :2]
+    beyond = (place - torch.tensor([0.3, 0.0])).abs() - 0.15
+    reached = td["plan", "on_stones"][:, 0] > 0
+    assert reached.sum() >= 2
+    assert beyond[reached].max() <= 1e-4
+
+
+def test_a_reset_of_some_robots_leaves_the_others() -> None:
+    env = aslip.make_env(num_envs=3, seed=3, stack="planned")
+    td = env.reset()
+    td = env.step_mdp(env.step(td.set("action", torch.zeros(3, 10))))
+    mask = torch.tensor([[False], [True], [False]])
+    again = env.reset(td.clone().set("_reset", mask))
+    for key in ("reference", "target", "plan", "odometry"):
+        for name, value in td[key].items():
+            assert torch.equal(again[key, name][[0, 2]], value[[0, 2]]), (key, name)
+    assert not torch.equal(again["plan", "state"][1], td["plan", "state"][1])
+
+
+def test_a_wrong_share_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="follow"):
+        PlannedReference(shipped_library("directions"), follow=1.5)
