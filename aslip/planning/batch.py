@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from aslip.base.arrays import Array, namespace
+from aslip.errors import ShapeError
 from aslip.planning.plan import Plan
 from aslip.planning.program import Problem, Program, like
 from aslip.planning.state import WalkState
@@ -27,7 +28,9 @@ _VIOLATION, _NONE = 1e4, 1e-3
 
 
 class BatchPlanner:
-    """Footsteps of many robots.
+    """Footsteps of many robots, from numbers in double precision.
+
+    The cost hardly depends on the time of the touchdown, so that single precision loses it.
 
     Args:
         program: model, limits, weights and number of steps.
@@ -50,8 +53,13 @@ class BatchPlanner:
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
             stones: stones in the frame of the state.
             shift: (n, 2) displacement of the next foothold from the optimal one [m].
+
+        Raises:
+            ShapeError: the command is in single precision.
         """
         program = self.program
+        if "64" not in str(command.dtype):
+            raise ShapeError(f"planning takes numbers in double precision, got {command.dtype}")
         problem = program.problem(state, command)
         xp, cost = namespace(command), program.cost(problem)
         least, _, greatest = program.variable(problem, problem.times).T

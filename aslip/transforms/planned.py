@@ -43,6 +43,8 @@ _HEADINGS = ("body_heading", *(f"{side}_foot_heading" for side in SIDES))
 _ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for side in SIDES))
 # read where they are
 _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
+# error of the divergent component from which a plan follows fast [m]
+_LARGE = 0.15
 # vertical force on a foot from which it is loaded, if the estimate is the truth [N]
 _LOADED = 50.0
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
@@ -91,7 +93,7 @@ class PlannedReference(SeededTransform):
         library: GaitLibrary,
         planner: BatchPlanner | Planner | None = None,
         *,
-        follow: float = 0.5,
+        follow: tuple[float, float] = (0.1, 0.6),
         command_key: NestedKey = "filtered_command",
         stands: bool = False,
     ) -> None:
@@ -100,7 +102,8 @@ class PlannedReference(SeededTransform):
         super().__init__(keys, ["reference", "target", "plan"])
         self.library, self.legs = library, LegTable()
         self.planner = default_planner() if planner is None else planner
-        self.follow = check_number("follow", follow, 0.0, 1.0)
+        slow, fast = follow
+        self.follow = check_number("follow", slow, 0.0, fast), check_number("follow", fast, slow, 1.0)
         self._command_key, self._stands = command_key, stands
 
     def _reset(
@@ -145,12 +148,17 @@ class PlannedReference(SeededTransform):
         position, velocity, *feet = (cast("Tensor", odometry[name]) for name in _ODOMETRY)
         contact = _contact(found)
         stance = torch.arange(2, device=contact.device) == state.stance[:, None]
-        share = torch.where(stance & contact, self.follow, 0.0)[..., None]
+        share = torch.where(stance & contact, self.follow[1], 0.0)[..., None]
         foot = torch.lerp(state.foot_position, torch.stack(feet, 1), share)
         stood = state.of_foot(foot, swing=False)
-        level = torch.tensor([self.follow, self.follow, 0.0], device=contact.device)
-        body = torch.lerp(state.body_position, position, level)
-        speed = torch.lerp(state.body_velocity, velocity, level)
+        away, faster = position - state.body_position, velocity - state.body_velocity
+        # of the divergent component, which determines where the next steps must be
+        error = (away + faster / self.planner.program.pendulum.rate)[:, :2].norm(dim=-1)
+        slow, fast = self.follow
+        share = slow + (fast - slow) * (error / _LARGE).clamp(max=1.0)
+        level = torch.nn.functional.pad(share[:, None].expand(-1, 2), (0, 1))
+        body = state.body_position + level * away
+        speed = state.body_velocity + level * faster
         return replace(
             state,
             body_position=stood + (body - stood).clamp(-_FAR, _HIGH),
@@ -195,8 +203,9 @@ class PlannedReference(SeededTransform):
             given["shift"] = found["footsteps", "shift"]
         planner: Any = self.planner
         exact = isinstance(planner, Planner)
-        if exact:
-            state, command, given = _mapped(_to_numpy, (state, command, given))
+        # single precision loses the time of the touchdown, of which costs hardly depend
+        convert = _to_numpy if exact else _to_double
+        state, command, given = _mapped(convert, (state, command, given))
         if "stones" in given:
             given["stones"] = Stones.from_corners(*given["stones"])
         plan = planner.plan(state, command, **given)
@@ -208,7 +217,7 @@ class PlannedReference(SeededTransform):
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
         }
-        return _mapped(_to_tensor, (now, later, written)) if exact else (now, later, written)
+        return _mapped(_to_single, (now, later, written))
 
     def _motors(self, now: Any, later: Any) -> dict[str, Tensor]:
         """Motor angles, velocities and torques of a sample a policy step later."""
@@ -299,11 +308,15 @@ def _spread(value: Any, rows: Tensor) -> Any:
     return TensorDict(whole, rows.shape)
 
 
+def _to_double(value: Tensor) -> Tensor:
+    return value.double() if value.is_floating_point() else value
+
+
 def _to_numpy(value: Tensor) -> np.ndarray:
-    return value.double().numpy() if value.is_floating_point() else value.numpy()
+    return _to_double(value).numpy()
 
 
-def _to_tensor(value: np.ndarray) -> Tensor:
+def _to_single(value: np.ndarray | Tensor) -> Tensor:
     tensor = torch.as_tensor(value)
     return tensor.float() if tensor.is_floating_point() else tensor
 
