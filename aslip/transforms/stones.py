@@ -132,13 +132,15 @@ class SeenStones(SeededTransform):
         super().__init__(keys, [("stones", name) for name in names])
         self.count, self.ahead = check_count("count", count), check_number("ahead", ahead)
         self.noise = noise
+        levels = (np.asarray(level, np.float32) for level in (noise.white, noise.bias))
+        self._white, self._bias = map(torch.as_tensor, levels)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
         stones = cast("Tensor", tensordict_reset[COURSE_KEY])
-        return self._see(tensordict_reset, self._normal(stones[..., :3], self.noise.bias))
+        return self._see(tensordict_reset, self._normal(stones[..., :3], self._bias))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._see(next_tensordict, cast("Tensor", tensordict[self.out_keys[2]]))
@@ -149,7 +151,7 @@ class SeenStones(SeededTransform):
         stones = cast("Tensor", td[COURSE_KEY])
         chosen = self._nearest(stones, truth["pelvis_position"], yaw(truth["pelvis_orientation"]))
         shift, stones = (x.take_along_dim(chosen, 1) for x in (error, stones))
-        shift = shift + self._normal(shift, self.noise.white)
+        shift = shift + self._normal(shift, self._white)
         corners = stone_corners(stones)
         top = stones[..., None, 2:3].expand_as(corners[..., :1])
         points = torch.cat([corners, top], dim=-1) + shift.unsqueeze(-2)
@@ -173,10 +175,9 @@ class SeenStones(SeededTransform):
         nearest = distance.topk(count, dim=-1, largest=False).indices
         return nearest.sort(dim=-1).values.unsqueeze(-1)
 
-    def _normal(self, like: Tensor, deviation: float | tuple[float, ...]) -> Tensor:
+    def _normal(self, like: Tensor, deviation: Tensor) -> Tensor:
         """Normal numbers of the shape of a tensor (n, k, 3)."""
-        factor = torch.as_tensor(deviation, dtype=torch.float32)
-        return factor * torch.randn(like.shape, generator=self.generator, dtype=torch.float32)
+        return deviation * torch.randn(like.shape, generator=self.generator, dtype=torch.float32)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the seen stones and their errors."""

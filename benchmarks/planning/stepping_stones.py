@@ -1,6 +1,6 @@
 """Walks over courses of stones: random ones by difficulty, and the eight patterns.
 
-    python -m benchmarks.planning.stepping_stones --policy planned
+    python -m benchmarks.planning.stepping_stones
 
 Each robot of a batch walks another course, at a random speed and phase, steered along the course's
 middle. A course is completed when the pelvis is above the last stone. A stone is left when the
@@ -180,7 +180,7 @@ def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dic
         "height": height,
         "sinking": -np.stack([truth[f"{side}_foot_velocity"][:, 2] for side in SIDES], axis=1),
         "load": load,
-        "left": ((load > 0) & (height < -_DEEP)).any(1),
+        "left": np.any((load > 0) & (height < -_DEEP), axis=1),
         "plan": plan,
         "walking": walking,
     }
