@@ -13,6 +13,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.transforms import (
     DYNAMICS_RANGES,
     EncoderOffsets,
+    RandomCourse,
     RandomDynamics,
     RandomPushes,
     ReferenceStart,
@@ -87,5 +88,5 @@ def randomise_stack(
 def needs_simulation(transform: Transform) -> bool:
     """True for a transform that reads the truth, or changes the state or the simulated robot."""
     groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
-    chooses = isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets | RandomPushes)
-    return chooses or bool(groups & {"truth", "true_odometry"})
+    kinds = ReferenceStart | RandomCourse | RandomDynamics | EncoderOffsets | RandomPushes
+    return isinstance(transform, kinds) or bool(groups & {"truth", "true_odometry"})

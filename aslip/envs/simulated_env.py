@@ -8,6 +8,7 @@ Keys in addition to those of `RobotEnv`, for n robots, with shapes that omit the
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step; the robot stands now |
 | `("truth", "slope")` | 1 | rise of the floor along the world's x [rad], see `aslip.sim.DYNAMICS` |
+| `("truth", "ground_height")` | 1 | height of the stones below the loaded feet [m, world] |
 | `terminated`, `done` | 1 | the simulation diverged |
 
 A reset request may have the initial state, `("initial", "qpos")` (35) and `("initial", "qvel")`
@@ -40,14 +41,14 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
-from aslip.base.arrays import Array, is_numpy
+from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.base.checks import check_ids
 from aslip.base.decorators import on_cpu_in_single
 from aslip.envs.robot_env import RobotEnv, check_entry
 from aslip.errors import ShapeError, UnknownNameError
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE, SIDES, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
-from aslip.sim.course import Course
+from aslip.sim.course import Course, ground_height
 from aslip.sim.dynamics import load_again, longest_delay, with_memory_of
 from aslip.sim.stones import Stones
 
@@ -339,12 +340,17 @@ class SimulatedEnv(RobotEnv):
         return {**super()._observation(stopped), "truth": self._truth(stopped)}
 
     def _truth(self, diverged: Array) -> dict[str, Tensor]:
+        state = true_state(self._snapshot(), self._places)
         truth = {
             key: self._given(value, torch.float64 if key in _DOUBLE else torch.float32)
-            for key, value in true_state(self._snapshot(), self._places).items()
+            for key, value in state.items()
         }
         truth["diverged"] = self._given(diverged, torch.bool)[:, None]
         truth["slope"] = self._given(self._dynamics.values["slope"])[:, None]
+        load, rows = state["ground_force"][..., 2], self._stones.rows
+        feet = [state[f"{side}_foot_position"][:, :2] for side in SIDES]
+        height = ground_height(rows, namespace(rows).stack(feet, 1), load)
+        truth["ground_height"] = self._given(height)
         return truth
 
 

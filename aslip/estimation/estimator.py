@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from aslip.base.arrays import Array, contiguous, copied, is_numpy, namespace
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation.filter import ContactFilter, FilterInput, P, V
+from aslip.estimation.filter import LEFT, Belief, ContactFilter, FilterInput, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.noise import FilterNoise
 from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
@@ -27,6 +28,8 @@ from aslip.robot.rotation import (
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration without a good reading
 _DOUBT = 5.0
+# load [N] of a foot that stands for all feet if none is loaded
+_LEAST_LOAD = 1e-3
 # step [s] of finite differences of the legs' kinematics
 _DIFFERENCE = 1e-5
 
@@ -190,15 +193,16 @@ class StateEstimator:
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
-        doubt = xp.where(screened.imu, 0.0, _DOUBT)
+        doubt, load = xp.where(screened.imu, 0.0, _DOUBT), vectors[..., FORCE, 2]
         # the filter is compiled for contiguous arrays of one packet
-        columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
+        columns = (acceleration, doubt, sole, half, load, screened.legs)
         packets = zip(*(contiguous(x.swapaxes(0, 1)) for x in columns), strict=True)
         motions = [FilterInput(*packet) for packet in packets]
         gravity = STANDARD_GRAVITY * turn[:, -1, 2]
         lateral = vectors[:, -1, :, LATERAL]
         own = proper[:, -1] - gravity
-        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, own, copied(angular[:, -1]))
+        last = (sole[:, -1], half[:, -1], lateral, load[:, -1], own, copied(angular[:, -1]))
+        return motions, _Geometry(*last)
 
     def _angular_acceleration(self, gyro: Array, before: Array, age: Array) -> Array:
         """Angular acceleration (n, w, 3) between the last two readings at each packet [rad/s^2].
@@ -261,7 +265,7 @@ class StateEstimator:
         turned = vector_to_heading(heading, vectors)
         position = turned[:, 0]
         return Estimate(
-            height=position[:, 2:],
+            height=position[:, 2:] - self._ground(tracking.belief, geometry),
             orientation=normalize(
                 orientation_to_heading(heading, reading[:, self._at["orientation"]])
             ),
@@ -283,6 +287,18 @@ class StateEstimator:
             faults=faults.any(1),
         )
 
+    def _ground(self, belief: Belief, geometry: _Geometry) -> Array | float:
+        """(n, 1) height below the loaded feet [m]; zero on level ground."""
+        if math.isfinite(self.noise.ground):
+            return 0.0
+        mean, load = belief.mean, geometry.load - self.noise.unload
+        xp = namespace(load)
+        lowest = mean[:, 2, LEFT:] - abs(geometry.half_sole[..., 2]) - self._legs.sole_radius
+        # a swinging foot may seem loaded, but does not rest; if none rests, the lower foot counts
+        weight = xp.where(belief.resting, xp.clip(load, 0.0, None), 0.0)
+        weight = weight + _LEAST_LOAD * (lowest == xp.amin(lowest, 1)[:, None])
+        return ((weight * lowest).sum(1) / weight.sum(1))[:, None]
+
 
 @dataclass(frozen=True)
 class _Geometry:
@@ -291,6 +307,7 @@ class _Geometry:
     sole: Array
     half_sole: Array
     lateral: Array
+    load: Array
     acceleration: Array
     angular_acceleration: Array
 

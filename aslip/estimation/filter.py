@@ -12,7 +12,8 @@ two soles.
 
 where :math:`a` is the accelerometer's reading in world axes without gravity. The measurements are
 the positions of the soles relative to the pelvis from the legs' encoders, :math:`y_l = l - p`, and
-on the vertical axis the height zero of the lowest point of a sole at rest.
+on the vertical axis the height zero of the lowest point of a sole at rest, unless the ground may
+have any height (`FilterNoise.ground`).
 
 Process and measurement follow Bloesch et al., "State estimation for legged robots: consistent
 fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt et al., "MIT Cheetah

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 from aslip.base.checks import TINY, check_number
@@ -35,7 +36,8 @@ class FilterNoise:
     """Position of a sole from encoders [m], white, every 3 ms."""
     ground: float = 2e-3
     """Height of the lowest point of a sole at rest [m], white, every 3 ms: compliance and uneven
-    ground."""
+    ground. Infinite for ground of any height, as on stones and stairs: then positions drift across
+    the ground as they do along it, and `Estimate.height` counts from the loaded feet."""
     gate: float = 16.0
     """Largest normalised innovation squared of a foot at rest, on any axis."""
     load: float = 60.0
@@ -61,8 +63,9 @@ class FilterNoise:
     def __post_init__(self) -> None:
         """Check the values."""
         for field in fields(self):
-            least = TINY if field.name in _POSITIVE else 0.0
-            check_number(f"{field.name} of FilterNoise", getattr(self, field.name), least)
+            least, value = TINY if field.name in _POSITIVE else 0.0, getattr(self, field.name)
+            if field.name != "ground" or value != math.inf:
+                check_number(f"{field.name} of FilterNoise", value, least)
         if self.unload > self.load:
             raise ConfigurationError(
                 f"unload of FilterNoise must be at most load, got {self.unload!r} N and"

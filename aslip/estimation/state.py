@@ -90,7 +90,7 @@ class Estimate:
     """
 
     height: Array
-    """(n, 1) height of the pelvis above the ground [m]."""
+    """(n, 1) height of the pelvis above the ground; of any height, above the loaded feet [m]."""
     orientation: Array
     """(n, 4) pelvis to heading frame, unit, wxyz with w >= 0."""
     velocity: Array
@@ -108,7 +108,7 @@ class Estimate:
     joint_velocity: Array
     """(n, 6) velocities of the joints with encoders [rad/s]."""
     position: Array
-    """(n, 3) position of the pelvis; z is `height` [m, heading frame]."""
+    """(n, 3) position of the pelvis; on level ground z is `height` [m, heading frame]."""
     sole: Array
     """(n, 2, 3) centres of the soles' axes relative to the pelvis [m, heading frame]."""
     forward: Array

@@ -9,6 +9,7 @@ between a platform at the start and one at the goal.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from aslip.base.arrays import Array, namespace
 from aslip.base.assets import user_path
 from aslip.base.checks import check_count, check_number
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError, UnknownNameError
@@ -40,6 +42,8 @@ _LONGEST_EDGE = 1e3
 # lateral distance of feet, and the start's and goal's platforms [m]
 _FEET_APART = 0.24
 _PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
+# load with which each foot counts without load [N]
+_LEAST_LOAD = 1.0
 # stones that touch may overlap by rounding errors [m]
 _TOUCHING = 1e-3
 
@@ -157,12 +161,50 @@ class Course:
         user_path(path).write_text(f'{{"stones": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def stone_corners(stones: np.ndarray) -> np.ndarray:
-    """Corners (*b, 4, 2) of rectangular stones (*b, 6), anticlockwise [m]."""
-    half = stones[..., None, 4:] / 2 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    c, s = np.cos(stones[..., None, 3]), np.sin(stones[..., None, 3])
-    turned = (c * half[..., 0] - s * half[..., 1], s * half[..., 0] + c * half[..., 1])
-    return stones[..., None, :2] + np.stack(turned, axis=-1)
+def stone_corners(stones: Array) -> Array:
+    """Corners (*b, 4, 2) of rectangular stones (*b, 6), anticlockwise [m]; arrays or tensors."""
+    xp = namespace(stones)
+    length, width = stones[..., 4], stones[..., 5]
+    along = xp.stack([length, -length, -length, length], -1) / 2
+    across = xp.stack([width, width, -width, -width], -1) / 2
+    c, s = xp.cos(stones[..., 3:4]), xp.sin(stones[..., 3:4])
+    turned = (c * along - s * across, s * along + c * across)
+    return stones[..., None, :2] + xp.stack(turned, -1)
+
+
+def stone_distances(stones: Array, points: Array) -> Array:
+    """Distances (*b, k, s) along the ground from points (*b, k, 2) to stones (*b, s, 6) [m].
+
+    Zero above a stone, infinite where is none. Of stones that are not rectangles the centre counts.
+    Stones and points are arrays or tensors alike.
+    """
+    xp = namespace(stones)
+    yaw, length, width = (xp.nan_to_num(stones[..., None, :, i]) for i in (3, 4, 5))
+    x, y = (points[..., None, i] - stones[..., None, :, i] for i in (0, 1))
+    c, s = xp.cos(yaw), xp.sin(yaw)
+    along, across = abs(c * x + s * y) - length / 2, abs(c * y - s * x) - width / 2
+    distance = xp.hypot(xp.clip(along, 0.0, None), xp.clip(across, 0.0, None))
+    return xp.where(xp.isnan(distance), math.inf, distance)
+
+
+def ground_height(stones: Array, feet: Array, load: Array) -> Array:
+    """Height (*b, 1) of the stones below a robot's feet, weighted by load; zero without stones [m].
+
+    A foot beside all stones counts as above the nearest one, so a robot that falls between them is
+    low.
+
+    Args:
+        stones: (*b, s, 6) stones, NaN where is none.
+        feet: (*b, 2, 2) places of the feet [m].
+        load: (*b, 2) vertical forces on them [N].
+    """
+    if not stones.shape[-2]:
+        return 0.0 * load[..., :1]
+    xp, distance = namespace(stones), stone_distances(stones, feet)
+    nearest = distance == xp.amin(distance, -1)[..., None]
+    top = xp.nan_to_num(xp.amax(xp.where(nearest, stones[..., None, :, 2], -math.inf), -1))
+    weight = xp.clip(load, 0.0, None) + _LEAST_LOAD
+    return ((weight * top).sum(-1) / weight.sum(-1))[..., None]
 
 
 def _numbers(entry: Mapping[str, Any], names: Sequence[str]) -> list[float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
@@ -48,16 +50,16 @@ class FirstStep(SeededTransform):
 class _Termination(SeededTransform):
     """Terminate an episode, so that no value is bootstrapped, if a condition holds after a step."""
 
-    def __init__(self, key: NestedKey) -> None:
-        super().__init__(in_keys=[key], out_keys=["terminated", "done"])
+    def __init__(self, *keys: NestedKey) -> None:
+        super().__init__(in_keys=list(keys), out_keys=["terminated", "done"])
 
-    def _over(self, value: Tensor) -> Tensor:
-        """Flag (*b, 1) bool of episodes that end with this value."""
+    def _over(self, *values: Tensor) -> Tensor:
+        """Flag (*b, 1) bool of episodes that end with these values."""
         raise NotImplementedError
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict
-        over = self._over(next_tensordict[self.in_keys[0]])
+        over = self._over(*(cast("Tensor", next_tensordict[key]) for key in self.in_keys))
         for key in self.out_keys:
             next_tensordict.set(key, torch.as_tensor(next_tensordict[key] | over))
         return next_tensordict
@@ -81,9 +83,9 @@ class LowReward(_Termination):
         super().__init__("reward")
         self.threshold = check_number("threshold", threshold)
 
-    def _over(self, value: Tensor) -> Tensor:
+    def _over(self, *values: Tensor) -> Tensor:
         # NaN counts as low
-        return ~(value >= self.threshold)
+        return ~(values[0] >= self.threshold)
 
 
 class Fall(_Termination):
@@ -94,18 +96,19 @@ class Fall(_Termination):
     reward do not learn from robots on the floor; with the full reward the threshold acts first.
 
     Args:
-        height: least height of the pelvis above the floor [m].
+        height: least height of the pelvis above the floor, or the stones below the feet [m].
 
     Raises:
         ConfigurationError: `height` is not a finite number.
     """
 
     def __init__(self, height: float = CASSIE.fall_height) -> None:
-        super().__init__(("truth", "pelvis_position"))
+        super().__init__(("truth", "pelvis_position"), ("truth", "ground_height"))
         self.height = check_number("height", height, what="of the pelvis [m]")
 
-    def _over(self, value: Tensor) -> Tensor:
-        return value[..., 2:] < self.height
+    def _over(self, *values: Tensor) -> Tensor:
+        position, ground = values
+        return position[..., 2:] - ground < self.height
 
 
 class StaggeredEnds(SeededTransform):

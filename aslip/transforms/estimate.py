@@ -42,8 +42,9 @@ ODOMETRY_SIZES: Final = MappingProxyType(
 )
 """Entries of `("odometry", ...)`: estimated poses of pelvis and soles, with the names of
 `("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the entry
-`heading`. Heights are above the ground below the robot. Distances along the ground count from the
-start, and drift; the policy does not see them, but rewards can use them. `HeadingFrame` writes
+`heading`. Heights are above the ground below the robot, or on ground of any height above that of
+the start, and then drift (`FilterNoise.ground`). Distances along the ground count from the start,
+and drift; the policy does not see them, but rewards can use them. `HeadingFrame` writes
 perfect odometry as `("true_odometry", ...)`."""
 
 PATH_SIZES: Final = MappingProxyType({"origin": 3, "path_error": 2})
@@ -58,6 +59,7 @@ _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
     "angular_velocity": ("truth", "pelvis_angular_velocity"),
     "acceleration": ("truth", "pelvis_acceleration"),
 }
+_GROUND, _ORIGIN = ("truth", "ground_height"), ("true_odometry", "origin")
 
 
 class _Estimator(SeededTransform):
@@ -84,7 +86,7 @@ class TrueState(_Estimator):
 
     def __init__(self) -> None:
         keys: set[NestedKey] = {("true_odometry", name) for name in ODOMETRY_SIZES}
-        keys.update(_TRUTH_OF.values())
+        keys.update([*_TRUTH_OF.values(), _GROUND, _ORIGIN])
         super().__init__(sorted(keys, key=str), ["estimate", "odometry"])
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -94,7 +96,8 @@ class TrueState(_Estimator):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         estimate = {name: cast("Tensor", next_tensordict[key]) for name, key in _TRUTH_OF.items()}
-        estimate["height"] = estimate["height"][..., 2:]
+        ground, origin = (cast("Tensor", next_tensordict[key]) for key in (_GROUND, _ORIGIN))
+        estimate["height"] = estimate["height"][..., 2:] - (ground - origin[..., 2:])
         true = cast("TensorDictBase", next_tensordict["true_odometry"])
         along = PATH_SIZES if "path_error" in true else {}
         odometry = {name: true[name] for name in (*ODOMETRY_SIZES, *along)}

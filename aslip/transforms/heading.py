@@ -24,6 +24,7 @@ from aslip.transforms.rotation import (
     yaw,
 )
 
+_TRUTH = (*ODOMETRY_SIZES, "slope", "ground_height")
 _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
 # distance from the world's origin within which a start counts as at the origin [m]; the
 # reference's body sways by 0.02 m
@@ -43,9 +44,9 @@ class HeadingFrame(SeededTransform):
     between steps. By default it is the true yaw of the pelvis at the reset, as it always is after a
     partial reset (with a `_reset` mask).
 
-    `("true_odometry", "origin")` (n, 3) [m, world] is the point on the floor below the start, or
-    the world's origin if the pelvis starts within 0.05 m of it: the reference sways by 0.02 m about
-    its line.
+    `("true_odometry", "origin")` (n, 3) [m, world] is the point on the ground below the start, or
+    below the world's origin if the pelvis starts within 0.05 m of it: the reference sways by 0.02 m
+    about its line.
 
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
     follow the twist of that command, about the pelvis, and a pelvis further than `LEASH` from the
@@ -67,7 +68,7 @@ class HeadingFrame(SeededTransform):
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
     ) -> None:
-        keys: list[NestedKey] = [("truth", name) for name in (*ODOMETRY_SIZES, "slope")]
+        keys: list[NestedKey] = [("truth", name) for name in _TRUTH]
         keys += [key for key in (command_key, mode_key) if key is not None]
         super().__init__(in_keys=keys, out_keys=["heading", "true_odometry"])
         self._command_key, self._mode_key = command_key, mode_key
@@ -130,7 +131,8 @@ def start_of(truth: Mapping[str, Tensor]) -> Tensor:
     near = torch.hypot(x, y) < _SWAY
     x, y = (torch.where(near, 0.0, part) for part in (x, y))
     # the point below the pelvis along gravity
-    return torch.cat([x - truth["slope"].tan() * z, y, torch.zeros_like(z)], dim=-1)
+    ground = truth["ground_height"]
+    return torch.cat([x - truth["slope"].tan() * (z - ground), y, ground], dim=-1)
 
 
 def in_heading_frame(
@@ -144,8 +146,9 @@ def in_heading_frame(
         origin: (*b, 3) [m, world].
 
     Returns:
-        The entries of `ODOMETRY_SIZES`; heights are above the ground straight below the pelvis. If
-        heading, slope and origin are zero, they equal those of `truth` bit for bit.
+        The entries of `ODOMETRY_SIZES`; heights are above the origin's level, on a slope above the
+        floor straight below the pelvis. If heading, slope and origin are zero, they equal those of
+        `truth` bit for bit.
     """
     to_world = heading_to_world(truth["slope"], heading).unsqueeze(-2)
     places = [truth[f"{body}_position"] - origin for body in _BODIES]
@@ -154,7 +157,7 @@ def in_heading_frame(
     orientations = torch.stack([truth[f"{body}_orientation"] for body in _BODIES], dim=-2)
     turned = _seen_from(to_world, orientations)
     # on a slope, heights count from the ground below the robot
-    height = truth["pelvis_position"][..., 2:] / truth["slope"].cos()
+    height = (truth["pelvis_position"] - origin)[..., 2:] / truth["slope"].cos()
     lift = torch.nn.functional.pad(height - places[0][..., 2:], (2, 0))
     entries = {"pelvis_velocity": velocity}
     for i, body in enumerate(_BODIES):

@@ -17,13 +17,15 @@ from aslip.envs import (
     StackEnv,
     default_stack,
     directions_stack,
+    insert_before,
     randomise_stack,
     warp,
 )
 from aslip.policy import load_policy
 from aslip.sim import Snapshot
+from aslip.sim.course import stairs
 from aslip.sim.warp import WarpSimulations
-from aslip.transforms import device_estimator
+from aslip.transforms import RandomCourse, SeenStones, device_estimator
 from tests.elsewhere import DEVICE, VISITS, Elsewhere, Generator, OnElsewhere, here, there
 
 
@@ -33,7 +35,8 @@ class _Simulations(WarpSimulations):
     def __init__(
         self, num: int, model: Any, place: torch.device, *args: Any, **limits: Any
     ) -> None:
-        super().__init__(num, model, torch.device("cpu"), *args, **limits)
+        with torch.device("cpu"):
+            super().__init__(num, model, torch.device("cpu"), *args, **limits)
 
     def snapshot(self) -> Snapshot:
         return Snapshot(**there(vars(super().snapshot())))
@@ -74,7 +77,9 @@ def main() -> None:
     warp.check_device = lambda _: DEVICE
     device_estimator.step = lambda *arrays: step(*here(list(arrays)))
     torch.Generator = Generator
-    stacks = {"straight": default_stack(), "directions": directions_stack()}
+    straight = insert_before(default_stack(), "start", course=RandomCourse([stairs(0.1, steps=2)]))
+    straight = insert_before(straight, "observation", stones=SeenStones())
+    stacks = {"straight": straight, "directions": directions_stack()}
     with OnElsewhere(), torch.no_grad():
         for name, stack in stacks.items():
             env = aslip.make_env("warp", num_envs=3, seed=0, stack=randomise_stack(stack))

@@ -1,13 +1,15 @@
 """Estimates against the truth of a walk and against motions in closed form."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from aslip.errors import ShapeError
-from aslip.estimation import StateEstimator, Tracking, tracking_size
+from aslip.estimation import FilterNoise, StateEstimator, Tracking, tracking_size
 from aslip.estimation.estimator import _DOUBT, _standing
-from aslip.estimation.filter import V
+from aslip.estimation.filter import LEFT, RIGHT, P, V
 from aslip.robot import CASSIE
 from tests.estimation.walks import AT, GYRO, ROBOTS, SPOILED, Walk, standing_packet
 
@@ -27,6 +29,18 @@ def test_errors_stay_small_over_a_walk(walk: Walk, sound: list[dict[str, np.ndar
     heights = np.array([e["height"][:, 0] - walk.height[:, k] for k, e in enumerate(sound)])[12:]
     assert np.sqrt((heights**2).mean()) < 2e-3
     assert not any(estimate["faults"].any() for estimate in sound)
+
+
+def test_on_ground_of_any_height_the_height_counts_from_the_loaded_feet(walk: Walk) -> None:
+    """Wherever the origin has drifted to."""
+    estimator = StateEstimator(noise=FilterNoise(ground=math.inf))
+    tracking, _ = estimator.start(walk.packets[:, 0])
+    tracking.belief.mean[:, 2, [P, LEFT, RIGHT]] += 0.3
+    for step in range(1, 40):
+        estimate = estimator.update(tracking, walk.packets[:, step])
+        np.testing.assert_allclose(estimate.height[:, 0], walk.height[:, step], atol=0.01)
+    np.testing.assert_allclose(estimate.position[:, 2], 0.3 + walk.height[:, step], atol=0.02)
+    np.testing.assert_allclose(estimate.velocity[:, 2], walk.velocity[:, step, 2], atol=0.02)
 
 
 def test_stream_of_one_robot_equals_the_batch(

@@ -1,5 +1,6 @@
 """Filter on motions in closed form, and against a textbook Kalman filter."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -121,10 +122,12 @@ def test_bias_of_the_accelerometer_is_estimated() -> None:
     np.testing.assert_allclose(belief.mean[0, :, B], -bias, atol=0.01)
 
 
-def test_odometry_of_alternating_stances_has_no_drift() -> None:
-    """2 m in 100 alternating stances."""
-    filter_ = _filter()
+@pytest.mark.parametrize(("rise", "noise"), [(0.0, {}), (0.1, {"ground": math.inf})])
+def test_odometry_of_alternating_stances_has_no_drift(rise: float, noise: dict[str, float]) -> None:
+    """2 m in 100 alternating stances; on ground of any height the right foot stands higher."""
+    filter_ = _filter(**noise)
     belief = _started(filter_)
+    ground = RADIUS + np.array([0.0, rise])
     feet = STANDING.copy()
     stance = 40
     for k in range(1, 1001):
@@ -136,10 +139,10 @@ def test_odometry_of_alternating_stances_has_no_drift() -> None:
         feet[swing] = [
             _body(t)[0] + 0.05,
             STANDING[swing, 1],
-            RADIUS + 0.1 * np.sin(np.pi * fraction),
+            ground[swing] + 0.1 * np.sin(np.pi * fraction),
         ]
         if fraction == 1:
-            feet[swing, 2] = RADIUS
+            feet[swing, 2] = ground[swing]
         load = (LOADED, FREE) if side == 0 else (FREE, LOADED)
         filter_.step(belief, _motion(t, feet, load))
     np.testing.assert_allclose(belief.mean[0, :, V], _derivative(_body, 3.0), atol=5e-3)

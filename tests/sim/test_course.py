@@ -8,9 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError, ShapeError
-from aslip.sim.course import PATTERNS, Course, pattern, random_course, random_stones, stairs
+from aslip.sim.course import (
+    PATTERNS,
+    Course,
+    ground_height,
+    pattern,
+    random_course,
+    random_stones,
+    stairs,
+)
 
 START = [-0.1, 0.0, 0.0, 0.0, 1.0, 0.8]
 SQUARE = np.array([[0.5, -0.1], [0.7, -0.1], [0.7, 0.1], [0.5, 0.1]])
@@ -55,6 +64,21 @@ def test_stairs_touch_and_rise() -> None:
 
 def _course(*stones: Any, polygons: dict[int, Any] | None = None) -> Course:
     return Course(np.array([START, *stones], dtype=float), polygons or {})
+
+
+def test_ground_is_that_of_the_nearest_stones_weighted_by_load() -> None:
+    """Of a rectangle the edge counts, of a polygon the centre; none is at height zero."""
+    nan = [np.nan] * 3
+    course = [START, [0.7, 0.0, 0.2, np.pi / 2, 0.1, 0.4], [2.0, 0.0, -0.3, *nan], 2 * nan]
+    stones = np.array([course, course, course, 4 * [2 * nan]])
+    # on both stones, beside the second one and above the polygon, without load, without stones
+    feet = np.array([[[0.0, 0.1], [0.8, 0.04]], [[0.95, 0.0], [2.1, 0.0]], *2 * [np.eye(2)]])
+    feet[2] = [[0.3, 0.0], [0.7, 0.0]]
+    load = np.array([[100.0, 299.0], [0.0, 400.0], [0.0, 0.0], [100.0, 100.0]])
+    expected = np.array([[0.2 * 300 / 401], [(0.2 - 0.3 * 401) / 402], [0.1], [0.0]])
+    for as_own in (np.asarray, torch.as_tensor):
+        found = ground_height(as_own(stones), as_own(feet), as_own(load))
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 ROW = [0.0] * 6

@@ -16,6 +16,7 @@ import aslip
 from aslip import transforms
 from aslip.envs import StackEnv, default_stack, directions_stack, insert_before
 from aslip.library import GaitLibrary
+from aslip.sim.course import stairs
 from aslip.transforms import SeededTransform
 from tests.helpers import leaves
 from tests.library.standing import standing_library
@@ -39,6 +40,7 @@ def make_env(seed: int = 0) -> StackEnv:
     stack = insert_before(
         default_stack(library),
         "start",
+        course=transforms.RandomCourse([stairs(0.05), stairs(-0.05)]),
         dynamics=transforms.RandomDynamics(difficulty_key="difficulty"),
         difficulty=transforms.Difficulty(4),
     )
@@ -49,6 +51,7 @@ def make_env(seed: int = 0) -> StackEnv:
         command_filter=transforms.CommandFilter(),
         pushes=transforms.RandomPushes(),
         distance=transforms.ReferenceDistance(),
+        stones=transforms.SeenStones(count=4),
     )
     # whatever changes packets must come before the estimator
     stack = insert_before(stack, "estimator", encoders=transforms.EncoderOffsets())

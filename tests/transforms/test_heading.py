@@ -251,7 +251,8 @@ def test_on_a_slope_truth_and_odometry_are_in_one_frame(
             )
 
 
-def test_a_foot_flat_on_a_slope_has_the_slopes_pitch() -> None:
+@pytest.mark.parametrize("ground", [0.0, 0.5])
+def test_a_foot_flat_on_a_slope_has_the_slopes_pitch(ground: float) -> None:
     """The frame's z is up against gravity; uphill is along x, downhill along -x."""
     level = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     truth = {
@@ -259,7 +260,8 @@ def test_a_foot_flat_on_a_slope_has_the_slopes_pitch() -> None:
         for name, size in ODOMETRY_SIZES.items()
     }
     truth["slope"] = torch.full((1, 1), SLOPE, dtype=torch.float64)
-    truth["pelvis_position"] = torch.tensor([[2.0, 0.0, 0.9]], dtype=torch.float64)
+    truth["ground_height"] = torch.full((1, 1), ground, dtype=torch.float64)
+    truth["pelvis_position"] = torch.tensor([[2.0, 0.0, 0.9 + ground]], dtype=torch.float64)
     truth["pelvis_velocity"] = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
     origin = start_of(truth)
     assert torch.allclose(true_heading(truth), torch.zeros(1, 1, dtype=torch.float64))

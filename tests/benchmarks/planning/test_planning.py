@@ -3,8 +3,11 @@
 import numpy as np
 
 from aslip.planning import Pendulum
+from aslip.sim.course import stairs
 from aslip.walking import Walks
-from benchmarks.planning import models, planner
+from aslip.walking.record import commands_kept
+from benchmarks.common import Subject
+from benchmarks.planning import models, planner, stepping_stones
 
 
 def test_models_are_exact_on_steps_of_a_pendulum():
@@ -54,6 +57,44 @@ def test_steps_of_a_walk_are_found_in_its_heading():
     np.testing.assert_allclose(steps.time, 0.36)
     np.testing.assert_allclose(steps.later[:, 0] - steps.now[:, 0], [[0.36, 0.0]] * 3, atol=1e-9)
     np.testing.assert_allclose(steps.now[:, 1], [[1.0, 0.0]] * 3, atol=1e-9)
+
+
+def test_touchdowns_are_compared_with_the_plan_before_them():
+    """The left foot lands 3 cm beside its foothold, 4 ms before the plan; the right one stands."""
+    load = np.array([[[0, 300]], [[0, 300]], [[60, 250]], [[200, 100]], [[0, 300]]])
+    feet = np.zeros((5, 1, 2, 2))
+    feet[2:, 0, 0] = [0.5, 0.13]
+    plan = np.full((5, 1, 3), np.nan)
+    plan[1] = [0.5, 0.1, 0.024]
+    seen = {
+        "load": load.astype(float),
+        "feet": feet,
+        "height": np.full((5, 1, 2), 0.01),
+        "sinking": np.full((5, 1, 2), 0.5),
+        "plan": plan,
+        "walking": np.ones((5, 1), dtype=bool),
+    }
+    found = stepping_stones.touchdowns(seen)
+    np.testing.assert_allclose(found["distance"], [0.03])
+    np.testing.assert_allclose(found["late"], [-0.004])
+    seen["walking"][3:] = False
+    assert len(stepping_stones.touchdowns(seen)["distance"]) == 0
+
+
+def test_courses_are_completed_unless_a_robot_leaves_a_stone():
+    """A blind robot walks over level treads, but not over two stones 1 m apart."""
+    level = stairs(0.0, steps=2).stones
+    apart = level.copy()
+    apart[1], apart[2, 0] = apart[0] + [2.0, 0, 0, 0, 0, 0], 4.0
+    config = stepping_stones.Config(trials=2, slowest=0.6, truth=True)
+    subject = Subject.load("directions")
+    courses = np.stack([level, apart])
+    env = stepping_stones.environment(config, subject, {"": courses})
+    with commands_kept(env):
+        walked = stepping_stones.walk_courses(config, subject, env, courses)
+    env.close()
+    assert walked["completed"].tolist() == [True, False]
+    assert np.isnan(walked["distance"]).all()
 
 
 def test_the_planner_is_compared_with_brute_force(capsys):

@@ -1,0 +1,196 @@
+"""Stones of simulated robots: courses drawn at resets, and what robots see of them.
+
+In a stack, `RandomCourse` comes first, and `SeenStones` after the estimator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, cast
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+
+from aslip.base.checks import check_count, check_number
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import NoiseLevel
+from aslip.sim.course import STONE, Course, stone_corners, stone_distances
+from aslip.transforms.base import ChosenAtReset, SeededTransform, require_keys
+from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
+
+# names of leaves differ from those of groups: `ParallelEnv` confuses them
+COURSE_KEY: Final = ("stones", "course")
+"""Key of the stones (n, s, 6) of simulated robots, by the columns of `aslip.sim.course.STONE`."""
+_REQUEST_KEY = ("course", "stones")
+SIGHT_NOISE: Final = NoiseLevel(white=0.005, bias=0.01)
+"""Standard deviations of a stone's place on each axis [m], ours."""
+
+
+class RandomCourse(ChosenAtReset):
+    """Draw a course for each robot at each of its resets, all with equal chance.
+
+    Writes its stones as `("stones", "course")` (n, s, 6) at resets and steps, in single precision
+    and NaN where is none; s is the length of the longest course. To choose, pass this entry, or
+    `("course", "stones")`, to `env.reset`. A partial reset (with a `_reset` mask) draws for the
+    reset robots only.
+
+    Courses start below the world's origin, where `ReferenceStart` puts robots. Feet of a start at
+    up to 1 m/s are within 0.36 m ahead and back, on the first stone of patterns and random courses.
+
+    For many random courses: `RandomCourse(random_stones(np.random.default_rng(0), 10_000))`.
+
+    Args:
+        courses: courses of rectangular stones, or their stones (p, s, 6).
+
+    Raises:
+        ConfigurationError: there is no course, or a stone is not a rectangle.
+        ShapeError: the stones have another shape.
+    """
+
+    needs_env = "it places stones at resets"
+
+    def __init__(self, courses: Sequence[Course] | np.ndarray) -> None:
+        super().__init__([], {COURSE_KEY: len(STONE)})
+        if not isinstance(courses, np.ndarray):
+            if any(course.polygons for course in courses):
+                raise ConfigurationError("RandomCourse takes rectangular stones, not polygons")
+            longest = max((len(course.stones) for course in courses), default=0)
+            rows = np.full((len(courses), longest, len(STONE)), np.nan)
+            for row, course in zip(rows, courses, strict=True):
+                row[: len(course.stones)] = course.stones
+            courses = rows
+        if courses.ndim != 3 or courses.shape[2] != len(STONE):
+            raise ShapeError(f"stones must be (p, s, {len(STONE)}), got {courses.shape}")
+        if not courses.size:
+            raise ConfigurationError(f"courses must be one or more, got {courses.shape}")
+        self._rows = torch.as_tensor(courses, dtype=torch.float32)
+
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        given = None if "_reset" in request else request.get(_REQUEST_KEY, None)
+        if given is not None:
+            return {COURSE_KEY: given}
+        chosen = torch.randint(len(self._rows), request.batch_size, generator=self.generator)
+        return {COURSE_KEY: self._rows[chosen]}
+
+    def _accept(self, request: TensorDictBase) -> TensorDictBase:
+        shape, given = (*request.batch_size, *self._rows.shape[1:]), request[COURSE_KEY]
+        if tuple(given.shape) != shape:
+            raise ShapeError(f"{COURSE_KEY} must have shape {shape}, got {tuple(given.shape)}")
+        stones = given.float()
+        return request.set(COURSE_KEY, stones).set(_REQUEST_KEY, stones)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set(COURSE_KEY, cast("Tensor", tensordict[COURSE_KEY]))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the stones."""
+        shape = torch.Size((*observation_spec.shape, *self._rows.shape[1:]))
+        observation_spec[COURSE_KEY] = Unbounded(shape, dtype=torch.float32)
+        return observation_spec
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the stones as an entry that a caller may set."""
+        return self.transform_observation_spec(state_spec)
+
+
+class SeenStones(SeededTransform):
+    """Write the stones that a robot sees, in the frame of its estimated odometry.
+
+    They are `("stones", "corners")` (n, m, 4, 2), anticlockwise, and `("stones", "height")` (n, m)
+    [m], in the order of the course and NaN where is none: the m stones nearest to a point ahead of
+    the pelvis. A camera on the pelvis would see them like that: in their true places relative to
+    the pelvis and its yaw, with noise, and so in the odometry with its errors. Heights count as
+    those of `("odometry", "left_foot_position")` do.
+
+    `("stones", "error")` (n, s, 3) is the part of the noise that lasts for an episode.
+
+    Must come after `RandomCourse`, `HeadingFrame` and the estimator.
+
+    Args:
+        count: number m of stones.
+        ahead: distance of the point from the pelvis [m].
+        noise: standard deviations of a stone's place on each axis [m], `white` for each step and
+            `bias` for an episode.
+
+    Raises:
+        ConfigurationError: a setting is out of range.
+    """
+
+    needs_env = "errors of sight last for an episode"
+
+    def __init__(
+        self, count: int = 8, *, ahead: float = 0.8, noise: NoiseLevel = SIGHT_NOISE
+    ) -> None:
+        pose = ("pelvis_position", "pelvis_orientation")
+        keys = [COURSE_KEY, "heading", ("truth", "slope"), ("true_odometry", pose[1])]
+        keys += [(group, name) for group in ("truth", "odometry") for name in pose]
+        names = ("corners", "height", "error")
+        super().__init__(keys, [("stones", name) for name in names])
+        self.count, self.ahead = check_count("count", count), check_number("ahead", ahead)
+        self.noise = noise
+        levels = (np.asarray(level, np.float32) for level in (noise.white, noise.bias))
+        self._white, self._bias = map(torch.as_tensor, levels)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        stones = cast("Tensor", tensordict_reset[COURSE_KEY])
+        return self._see(tensordict_reset, self._normal(stones[..., :3], self._bias))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._see(next_tensordict, cast("Tensor", tensordict[self.out_keys[2]]))
+
+    def _see(self, td: TensorDictBase, error: Tensor) -> TensorDictBase:
+        """Write stones with an error (n, s, 3) for the episode."""
+        truth, seen = (cast("TensorDictBase", td[group]) for group in ("truth", "odometry"))
+        stones = cast("Tensor", td[COURSE_KEY])
+        chosen = self._nearest(stones, truth["pelvis_position"], yaw(truth["pelvis_orientation"]))
+        shift, stones = (x.take_along_dim(chosen, 1) for x in (error, stones))
+        shift = shift + self._normal(shift, self._white)
+        corners = stone_corners(stones)
+        top = stones[..., None, 2:3].expand_as(corners[..., :1])
+        points = torch.cat([corners, top], dim=-1) + shift.unsqueeze(-2)
+        frame = heading_to_world(truth["slope"], td["heading"])[:, None, None]
+        placed = rotate_inverse(frame, points - truth["pelvis_position"][:, None, None])
+        turn = yaw(seen["pelvis_orientation"]) - yaw(td["true_odometry", "pelvis_orientation"])
+        placed = rotate_about_vertical(placed, turn[:, None, None])
+        placed = placed + seen["pelvis_position"][:, None, None]
+        values = (placed[..., :2], placed[..., 2].mean(-1), error)
+        for key, value, count in zip(
+            self.out_keys, values, (self.count, self.count, 0), strict=True
+        ):
+            td.set(key, _padded(value, count))
+        return td
+
+    def _nearest(self, stones: Tensor, pelvis: Tensor, turn: Tensor) -> Tensor:
+        """(n, m or less, 1) places of the nearest stones, in the order of the course."""
+        point = pelvis[:, :2] + self.ahead * torch.cat([turn.cos(), turn.sin()], dim=-1)
+        distance = stone_distances(stones, point[:, None])[:, 0]
+        count = min(self.count, stones.shape[1])
+        nearest = distance.topk(count, dim=-1, largest=False).indices
+        return nearest.sort(dim=-1).values.unsqueeze(-1)
+
+    def _normal(self, like: Tensor, deviation: Tensor) -> Tensor:
+        """Normal numbers of the shape of a tensor (n, k, 3)."""
+        return deviation * torch.randn(like.shape, generator=self.generator, dtype=torch.float32)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the seen stones and their errors."""
+        require_keys(self, observation_spec, self.in_keys)
+        total = observation_spec[COURSE_KEY].shape[1]
+        shapes = ((self.count, 4, 2), (self.count,), (total, 3))
+        for key, shape in zip(self.out_keys, shapes, strict=True):
+            whole = torch.Size((*observation_spec.shape, *shape))
+            observation_spec[key] = Unbounded(whole, dtype=torch.float32)
+        return observation_spec
+
+
+def _padded(value: Tensor, count: int) -> Tensor:
+    """Values (n, k, ...) with rows of NaN up to a count."""
+    missing = max(count - value.shape[1], 0)
+    return torch.cat([value, value.new_full((len(value), missing, *value.shape[2:]), torch.nan)], 1)

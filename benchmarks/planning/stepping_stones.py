@@ -1,0 +1,292 @@
+"""Walks over courses of stones: random ones by difficulty, and the eight patterns.
+
+    python -m benchmarks.planning.stepping_stones
+
+Each robot of a batch walks another course, at a random speed and phase, steered along the course's
+middle. A course is completed when the pelvis is above the last stone. A stone is left when the
+robot falls, or a loaded foot is deeper than a stone's top. Stacks with a planner, which writes
+`("plan", ...)`, see the stones; others walk blindly.
+
+Touchdowns are compared with the last plan before them: distance of the foot's centre from the
+foothold, and time. The simulator gives contacts for whole policy steps, so the time within a step
+is that in which the foot falls to the stone at its last speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from aslip.base.command_line import command_line
+from aslip.errors import one_line_errors
+from benchmarks.flags import Directions, check_numbers
+
+
+@dataclass(frozen=True)
+class Config(Directions):
+    """Settings of the benchmark."""
+
+    difficulties: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
+    """Difficulties of random courses, see `aslip.sim.course.random_stones`."""
+    patterns: tuple[str, ...] = (
+        "straight", "narrow", "wide", "zigzag", "alternating", "up", "down", "mixed",
+    )  # fmt: skip
+    """Patterns of courses, see `aslip.sim.course.PATTERNS`."""
+    trials: int = 100
+    """Walks of each difficulty and pattern."""
+    count: int = 20
+    """Stones between the platforms."""
+    size: float = 0.2
+    """Side of a stone [m]."""
+    slowest: float = 0.3
+    """Least speed [m/s]."""
+    fastest: float = 0.8
+    """Greatest speed [m/s]."""
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        check_numbers(self, "slowest", trials=1, fastest=self.slowest)
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+from contextlib import closing
+from typing import Any, cast
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tensordict import TensorDict, TensorDictBase
+from tqdm import tqdm
+
+from aslip.base.interval import Interval
+from aslip.envs import StackEnv
+from aslip.robot import CASSIE, SIDES
+from aslip.robot.rotation import rotate_level, yaw
+from aslip.show.palette import ROBOT
+from aslip.sim.course import ground_height, pattern, random_stones, stone_distances
+from aslip.transforms import RandomCourse, SeenStones
+from aslip.walking import next_start
+from aslip.walking.record import can_stand, commands_kept, take_step
+from benchmarks.common import Policies, Report, Subject, benchmark, table
+
+# a loaded foot this far below the stones has left them [m]
+_DEEP = 0.05
+# load of a foot that has landed [N]
+_LANDED = 50.0
+# times for a course, in multiples of that at the commanded speed and beyond it [s]
+_PATIENCE, _START = 1.5, 5.0
+# largest sideways share of the speed, and yaw rate [rad/s], of the steered command
+_SIDEWAYS, _TURN = 0.3, 0.4
+
+
+@benchmark
+def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
+    """Walk, compare and draw; the result is the rows."""
+    courses = courses_of(config)
+    subjects = policies.load()
+    walks: dict[str, list[dict[str, np.ndarray]]] = {name: [] for name in courses}
+    with tqdm(total=len(subjects) * len(courses), unit="course", leave=False) as bar:
+        for subject in subjects:
+            with closing(environment(config, subject, courses)) as env, commands_kept(env):
+                for name, stones in courses.items():
+                    walks[name].append(walk_courses(config, subject, env, stones))
+                    bar.update()
+    rows = [{"course": name, **row_of(results)} for name, results in walks.items()]
+    return Report(rows, table(COLUMNS, rows), picture(config, rows))
+
+
+def courses_of(config: Config) -> dict[str, np.ndarray]:
+    """Stones (trials, s, 6) by the names of rows."""
+    rng, shape = np.random.default_rng(config.seed), {"count": config.count, "size": config.size}
+    courses = {
+        f"{difficulty:g}": random_stones(rng, config.trials, difficulty=difficulty, **shape)
+        for difficulty in config.difficulties
+    }
+    for name in config.patterns:
+        courses[name] = np.repeat(pattern(name, **shape).stones[None], config.trials, 0)
+    return courses
+
+
+def environment(config: Config, subject: Subject, courses: dict[str, np.ndarray]) -> StackEnv:
+    """Environment whose planner sees the stones, if it has one."""
+    env = subject.walking_env(config, config.trials)
+    if "plan" in env.observation_spec and "stones" not in env.observation_spec:
+        at = next(i for i, t in enumerate(env.transforms) if "plan" in t.out_keys)
+        env.insert_transform(at, SeenStones())
+        env.insert_transform(at, RandomCourse(next(iter(courses.values()))))
+    return env
+
+
+# ---------------------------------------------------------------------------- walks
+
+
+def walk_courses(
+    config: Config, subject: Subject, env: StackEnv, stones: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Walk over stones (n, s, 6): (n,) `completed`, and `distance` and `late` of touchdowns."""
+    num, rng = len(stones), np.random.default_rng(config.seed)
+    speed = rng.uniform(config.slowest, config.fastest, num)
+    request = {
+        "command": torch.zeros(num, subject.library.command_size),
+        "phase": torch.as_tensor(rng.random((num, 1)), dtype=torch.float32),
+        "course": TensorDict(stones=torch.as_tensor(stones, dtype=torch.float32)),
+    }
+    request["command"][:, 0] = torch.as_tensor(speed)
+    if can_stand(env):
+        request["stand"] = torch.zeros(num, 1)
+    td = env.reset(TensorDict(request, batch_size=num, device=env.device))
+    length = np.linalg.norm(np.diff(stones[..., :2], axis=1), axis=-1).sum(-1)
+    steps = int((_PATIENCE * length / speed + _START).max() / CASSIE.policy_period)
+    walking, completed = np.ones(num, dtype=bool), np.zeros(num, dtype=bool)
+    frames = [frame_of(td, stones, walking)]
+    for _ in range(steps):
+        td["command"] = steered(frames[-1], stones, speed, td["command"])
+        after = take_step(subject.policy, env, td)
+        outcome = cast("TensorDictBase", after["next"])
+        frame = frame_of(outcome, stones, walking)
+        walking = walking & ~(frame["left"] | outcome["terminated"][:, 0].cpu().numpy())
+        goal = stone_distances(stones[:, -1:], frame["pelvis"][:, None])[:, 0, 0] == 0
+        completed |= walking & goal
+        walking = walking & ~completed
+        frames.append(frame)
+        if not walking.any():
+            break
+        td = next_start(after)
+    seen = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    return {"completed": completed, **touchdowns(seen)}
+
+
+def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dict[str, np.ndarray]:
+    """What is compared, at the end of a policy step; footholds in the world, NaN without plan."""
+    truth = {name: value.double().cpu().numpy() for name, value in td["truth"].items()}
+    feet = np.stack([truth[f"{side}_foot_position"] for side in SIDES], axis=1)
+    load, pelvis = truth["ground_force"][..., 2], truth["pelvis_position"][:, :2]
+    below = [ground_height(stones, feet[:, [i, i], :2], load)[:, 0] for i in range(2)]
+    height = feet[..., 2] - np.stack(below, axis=1)
+    turn, plan = yaw(truth["pelvis_orientation"]), np.full((len(load), 3), np.nan)
+    if "plan" in td.keys():  # noqa: SIM118
+        odometry = {k: v.double().cpu().numpy() for k, v in td["odometry"].items()}
+        foothold = td["plan", "foothold"].double().cpu().numpy() - odometry["pelvis_position"]
+        turned = rotate_level(foothold[:, :2], turn - yaw(odometry["pelvis_orientation"]))
+        plan[:, :2] = pelvis + turned
+        plan[:, 2] = td["plan", "time"][:, 0].double().cpu().numpy()
+    return {
+        "pelvis": pelvis,
+        "yaw": turn,
+        "feet": feet[..., :2],
+        "height": height,
+        "sinking": -np.stack([truth[f"{side}_foot_velocity"][:, 2] for side in SIDES], axis=1),
+        "load": load,
+        "left": np.any((load > 0) & (height < -_DEEP), axis=1),
+        "plan": plan,
+        "walking": walking,
+    }
+
+
+def steered(
+    frame: dict[str, np.ndarray], stones: np.ndarray, speed: np.ndarray, command: torch.Tensor
+) -> torch.Tensor:
+    """Command (n, c) along the middle of a course."""
+    middle = (stones[:, 1:, :2] + stones[:, :-1, :2]) / 2
+    nearest = np.linalg.norm(middle - frame["pelvis"][:, None], axis=-1).argmin(1)
+    aim = np.minimum(nearest + 2, middle.shape[1] - 1)
+    ahead = middle[np.arange(len(aim)), aim] - frame["pelvis"]
+    angle = np.arctan2(ahead[:, 1], ahead[:, 0]) - frame["yaw"]
+    angle = (angle + np.pi) % (2 * np.pi) - np.pi
+    sideways = np.clip(np.sin(angle), -_SIDEWAYS, _SIDEWAYS)
+    values = np.stack([speed, speed * sideways, np.clip(angle, -_TURN, _TURN)], axis=1)
+    wished = torch.as_tensor(values, dtype=command.dtype, device=command.device)
+    return wished[:, : command.shape[1]]
+
+
+def touchdowns(seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Distances [m] and differences of time [s] of touchdowns (k,) from the plans before them.
+
+    Args:
+        seen: what `frame_of` gives, by policy step (m, n, ...).
+    """
+    load, height, plan = seen["load"], seen["height"], seen["plan"]
+    lands = (load[:-2] == 0) & (load[1:-1] > 0) & (load[2:] > _LANDED)
+    lands &= seen["walking"][2:, :, None]
+    at, robot, foot = np.nonzero(lands)
+    fall = np.maximum(height[at, robot, foot], 0.0)
+    fall = fall / np.maximum(seen["sinking"][at, robot, foot], 1e-3)
+    time = np.minimum(fall, CASSIE.policy_period)
+    planned = plan[at, robot]
+    distance = np.linalg.norm(seen["feet"][at + 1, robot, foot] - planned[:, :2], axis=-1)
+    return {"distance": distance, "late": time - planned[:, 2]}
+
+
+# --------------------------------------------------------------------------- report
+
+
+def row_of(results: list[dict[str, np.ndarray]]) -> dict[str, Any]:
+    """Row of a difficulty or pattern; its interval is Wilson's of one policy, Student's of more."""
+    completed = [result["completed"].astype(float) for result in results]
+    share = Interval.of(completed)
+    if len(completed) == 1:
+        share = Interval.of_share(int(completed[0].sum()), len(completed[0]))
+    distance, late = (
+        np.concatenate([result[name] for result in results]) for name in ("distance", "late")
+    )
+    known = np.isfinite(distance)
+    distance, late = distance[known], np.abs(late[known])
+    return {
+        **vars(share),
+        "trials": sum(map(len, completed)),
+        "touchdowns": len(distance),
+        "distance": float(distance.mean()) if known.any() else np.nan,
+        "distance_p95": float(np.quantile(distance, 0.95)) if known.any() else np.nan,
+        "late": float(late.mean()) if known.any() else np.nan,
+    }
+
+
+COLUMNS = {
+    "course": "{course}",
+    "completed [%]": lambda row: Interval.of_row(row).text(1, 100),
+    "walks": "{trials}",
+    "touchdowns": "{touchdowns}",
+    "foot from plan, mean, p95 [cm]": lambda row: (
+        f"{100 * row['distance']:.1f}, {100 * row['distance_p95']:.1f}"
+        if row["touchdowns"]
+        else "-"
+    ),
+    "touchdown from plan, mean [ms]": lambda row: (
+        f"{1e3 * row['late']:.0f}" if row["touchdowns"] else "-"
+    ),
+}
+"""Columns of the table: random courses by difficulty, then patterns."""
+
+
+def picture(config: Config, rows: list[dict[str, Any]]) -> Figure:
+    """Draw success and distances over difficulty, and success over the patterns."""
+    figure = Figure(figsize=(11, 3.2), layout="constrained")
+    panels = figure.subplots(1, 3)
+    mean, low, high = (100 * np.array([row[k] for row in rows]) for k in ("mean", "low", "high"))
+    spread, hard = [mean - low, high - mean], len(config.difficulties)
+    style = {"color": ROBOT, "ms": 4, "capsize": 3}
+    panels[0].errorbar(
+        config.difficulties, mean[:hard], [x[:hard] for x in spread], fmt="o-", **style
+    )
+    panels[0].set(xlabel="difficulty", ylabel="courses completed [%]", ylim=(-4, 104))
+    for name, line in {"distance": "o-", "distance_p95": "o--"}.items():
+        values = [100 * row[name] for row in rows[:hard]]
+        label = "95 % quantile" if "95" in name else "mean"
+        panels[1].plot(config.difficulties, values, line, color=ROBOT, ms=4, label=label)
+    panels[1].set(xlabel="difficulty", ylabel="foot from its foothold [cm]")
+    panels[1].legend(fontsize=8)
+    names = [row["course"] for row in rows[hard:]]
+    panels[2].errorbar(names, mean[hard:], [x[hard:] for x in spread], fmt="o", **style)
+    panels[2].set(ylabel="courses completed [%]", ylim=(-4, 104))
+    panels[2].tick_params(axis="x", rotation=60)
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)
