@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import MappingProxyType
 from typing import Final, cast
@@ -13,6 +14,7 @@ from aslip.envs import RewardSource
 from aslip.envs.edit import Stack, insert_before
 from aslip.envs.straight import REWARD_SOURCES, shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
+from aslip.estimation import FilterNoise, StateEstimator
 from aslip.library import GaitLibrary
 from aslip.planning import BatchPlanner, Planner
 from aslip.transforms import (
@@ -152,6 +154,10 @@ def planned_stack(
     del stack["reference"]
     feedforward = stack.pop("feedforward")
     reference = PlannedReference(library, planner, stands=True)
+    # stones have any height
+    stack["estimator"] = EstimatedState(
+        StateEstimator(noise=FilterNoise(ground=math.inf)), command_key=_FILTERED, mode_key="mode"
+    )
     # the last action comes first in the observation's part of the stack, as in `walking_stack`
     stack = insert_before(stack, "action", reference=reference, feedforward=feedforward)
     feet = ("left_foot_position", "right_foot_position")

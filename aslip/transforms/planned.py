@@ -103,7 +103,10 @@ class PlannedReference(SeededTransform):
         self.library, self.legs = library, LegTable()
         self.planner = default_planner() if planner is None else planner
         slow, fast = follow
-        self.follow = check_number("follow", slow, 0.0, fast), check_number("follow", fast, slow, 1.0)
+        self.follow = (
+            check_number("follow", slow, 0.0, fast),
+            check_number("follow", fast, slow, 1.0),
+        )
         self._command_key, self._stands = command_key, stands
 
     def _reset(
@@ -195,19 +198,28 @@ class PlannedReference(SeededTransform):
     ) -> tuple[Any, Any, dict[str, Tensor]]:
         """`PlanSample`s of tensors, now and a policy step later, and the entries of the plan."""
         command = cast("Tensor", found[self._command_key])
-        given: dict[str, Any] = {}
-        if found.get("stones", None) is not None:
-            corners = cast("Tensor", found["stones", "corners"]) - shift[:, None, None]
-            given["stones"] = (corners, found["stones", "height"])
-        if found.get("footsteps", None) is not None:
-            given["shift"] = found["footsteps", "shift"]
+        footsteps = found.get(("footsteps", "shift"), None)
+        free = {} if footsteps is None else {"shift": footsteps}
+        corners = found.get(("stones", "corners"), None)
+        if corners is None:
+            return self._sampled(state, command, free)
+        given = {"stones": (corners - shift[:, None, None], found["stones", "height"])}
+        there = corners.isfinite().flatten(1).any(1)
+        if there.all():
+            return self._sampled(state, command, given)
+        plans = self._sampled(state, command, given), self._sampled(state, command, free)
+        return _chosen(there, *plans)
+
+    def _sampled(
+        self, state: WalkState, command: Tensor, given: Mapping[str, Any]
+    ) -> tuple[Any, Any, dict[str, Tensor]]:
+        """Plan, and what `_planned` returns."""
         planner: Any = self.planner
-        exact = isinstance(planner, Planner)
         # single precision loses the time of the touchdown, of which costs hardly depend
-        convert = _to_numpy if exact else _to_double
-        state, command, given = _mapped(convert, (state, command, given))
+        convert = _to_numpy if isinstance(planner, Planner) else _to_double
+        state, command, given = _mapped(convert, (state, command, dict(given)))
         if "stones" in given:
-            given["stones"] = Stones.from_corners(*given["stones"])
+            given = {"stones": Stones.from_corners(*given["stones"])}
         plan = planner.plan(state, command, **given)
         period = 0 * command[:, 0] + CASSIE.policy_period
         now, later = (plan.sample(time) for time in (0 * period, period))
@@ -330,6 +342,17 @@ def _mapped(function: Callable[[Any], Any], value: Any) -> Any:
     if is_dataclass(value):
         return type(value)(**_mapped(function, vars(value)))
     return function(value)
+
+
+def _chosen(mask: Tensor, one: Any, other: Any) -> Any:
+    """Values of one of two alike, by a mask (n,) of robots."""
+    if isinstance(one, tuple):
+        return tuple(_chosen(mask, *pair) for pair in zip(one, other, strict=True))
+    if isinstance(one, dict):
+        return {key: _chosen(mask, value, other[key]) for key, value in one.items()}
+    if is_dataclass(one):
+        return type(one)(**_chosen(mask, vars(one), vars(other)))
+    return torch.where(mask.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
 def _turned(vector: Tensor, yaw: Tensor) -> Tensor:

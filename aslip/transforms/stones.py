@@ -5,6 +5,7 @@ In a stack, `RandomCourse` comes first, and `SeenStones` after the estimator.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, cast
 
@@ -17,9 +18,12 @@ from torchrl.data import Composite, Unbounded
 
 from aslip.base.checks import check_count, check_number
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.library import GaitLibrary
 from aslip.robot import NoiseLevel
 from aslip.sim.course import STONE, Course, stone_corners, stone_distances
 from aslip.transforms.base import ChosenAtReset, SeededTransform, require_keys
+from aslip.transforms.command import VelocityCommand
+from aslip.transforms.path import wrap
 from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
 
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
@@ -28,6 +32,9 @@ COURSE_KEY: Final = ("stones", "course")
 _REQUEST_KEY = ("course", "stones")
 SIGHT_NOISE: Final = NoiseLevel(white=0.005, bias=0.01)
 """Standard deviations of a stone's place on each axis [m], ours."""
+
+# stones ahead that a command aims at, its largest sideways share of the speed and yaw rate [rad/s]
+_AHEAD, _SIDEWAYS, _TURN = 2, 0.3, 0.4
 
 
 class RandomCourse(ChosenAtReset):
@@ -95,6 +102,69 @@ class RandomCourse(ChosenAtReset):
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         """Declare the stones as an entry that a caller may set."""
         return self.transform_observation_spec(state_spec)
+
+
+class CourseCommand(VelocityCommand):
+    """Draw commands, and lead robots with stones along the middle of their course.
+
+    The forward speed of these is that of the draw, moved to a range; sideways speed and yaw rate
+    aim at the stones ahead. The other robots have the commands of `VelocityCommand`.
+
+    Must come before `RandomCourse`: TorchRL prepares resets from the last transform to the first.
+
+    Args:
+        library: gaits over forward speed, sideways speed and yaw rate.
+        interval: mean time between draws within an episode [s].
+        speeds: least and greatest speed on courses [m/s].
+    """
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        interval: float = math.inf,
+        *,
+        speeds: tuple[float, float] = (0.3, 0.8),
+    ) -> None:
+        super().__init__(library, interval)
+        self.speeds = speeds
+
+    def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
+        command = self.draw(self._shape(request))
+        course = cast("Tensor", request[COURSE_KEY])
+        start = torch.zeros(len(command), 2)
+        return {"command": self._led(command, course, start, torch.zeros(len(command), 1))}
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        command = cast("Tensor", super()._step(tensordict, next_tensordict)["command"])
+        truth = cast("TensorDictBase", next_tensordict["truth"])
+        course, turn = tensordict[COURSE_KEY], yaw(truth["pelvis_orientation"])
+        led = self._led(command, course, truth["pelvis_position"][:, :2], turn)
+        return next_tensordict.set("command", led)
+
+    def _led(self, command: Tensor, course: Tensor, pelvis: Tensor, turn: Tensor) -> Tensor:
+        speed = command[:, :1].clamp(*self.speeds)
+        led = self.library.nearest(along_course(course, pelvis, turn, speed))
+        has = torch.isfinite(course[:, :, 0]).sum(1, keepdim=True) > 1
+        return torch.where(has, led, command)
+
+
+def along_course(course: Tensor, pelvis: Tensor, turn: Tensor, speed: Tensor) -> Tensor:
+    """Command (n, 3) along the middle of courses.
+
+    Args:
+        course: (n, s, 6) stones by the columns of `STONE`, NaN where is none.
+        pelvis: (n, 2) place of the pelvis [m].
+        turn: (n, 1) its yaw [rad].
+        speed: (n, 1) forward speed [m/s].
+    """
+    middle = (course[:, 1:, :2] + course[:, :-1, :2]) / 2
+    distance = (middle - pelvis[:, None]).norm(dim=-1).nan_to_num(nan=torch.inf)
+    last = distance.isfinite().sum(1) - 1
+    aim = torch.minimum(distance.argmin(1) + _AHEAD, last.clamp(min=0))
+    ahead = middle[torch.arange(len(aim), device=aim.device), aim] - pelvis
+    angle = wrap(torch.atan2(ahead[:, 1:], ahead[:, :1]) - turn)
+    sideways = angle.sin().clamp(-_SIDEWAYS, _SIDEWAYS)
+    return torch.cat([speed, speed * sideways, angle.clamp(-_TURN, _TURN)], -1).nan_to_num()
 
 
 class SeenStones(SeededTransform):
