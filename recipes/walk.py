@@ -149,7 +149,9 @@ def main(config: Config) -> None:
                 return
             rows, frames = walk(config, walker, schedule, pushes)
     finally:
-        print(f"the robot {'fell after' if walker.fallen else 'walked for'} {walker.time:.2f} s")
+        if walker.time:
+            ending = "fell after" if walker.fallen else "walked for"
+            print(f"the robot {ending} {walker.time:.2f} s")
         if config.log is not None and config.log.exists():
             print(LOG_COMMANDS.format(config.log, asset_path("viewers/foxglove.json")))
     print(table(schedule, rows))

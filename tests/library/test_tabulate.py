@@ -154,6 +154,10 @@ class Mistaken(PendulumWalk):
         (lambda s: {"heading": Angle(s.heading.angle, s.heading.rate + 0.1)}, "heading.rate is"),
         (lambda s: {"ground_force": 0 * s.ground_force}, "carry the robot's 327 N, at .* but 0 N"),
         (lambda s: {"ground_force": s.ground_force[:, ::-1]}, "feet move while they carry load"),
+        (
+            lambda s: {"ground_force": s.ground_force * [-1, -1, 1]},
+            r"mass x \(acceleration \+ gravity\), at command \[0.3\] by 2 of 0.97 m/s²",
+        ),
     ],
 )
 def test_wrong_motions_are_named(

@@ -33,6 +33,8 @@ class Config(UserPaths):
 def main(config: Config) -> None:
     """Export a policy, and compare the file with PyTorch."""
     print(f"exporting {config.policy} to {config.out} ...", flush=True)
+    import onnxscript  # noqa: F401 - first, as its extra has onnx, too
+
     from aslip.control.export import export_policy
     from aslip.library import GaitLibrary
 

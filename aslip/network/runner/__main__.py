@@ -77,7 +77,7 @@ class Config(UserPaths):
     tilt: float = Limits.tilt
     """Angle between pelvis and vertical beyond which the motors are damped [rad]."""
     patience: float = 10.0
-    """Longest wait for the first packet [s]."""
+    """Longest wait for the first packet, and then for an estimate that a robot can have [s]."""
     log: Path | None = None
     """MCAP file to which the run is logged."""
     replay: Path | None = None

@@ -223,12 +223,12 @@ def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> No
     Args:
         run: supervisor with its inputs.
         endpoint: socket to the robot.
-        patience: longest wait for the first packet [s].
+        patience: longest wait for the first packet with a possible estimate [s].
 
     Raises:
-        NetworkError: the robot does not answer.
+        NetworkError: the robot does not answer, or not with such estimates.
     """
-    origin, period = time.monotonic_ns(), round(CASSIE.policy_period * _NS)
+    origin = time.monotonic_ns()
 
     def clock() -> int:
         return time.monotonic_ns() - origin
@@ -240,7 +240,7 @@ def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> No
 
     _connect(run, endpoint, patience, clock)
     try:
-        _keep_time(run, endpoint, clock, drain, period)
+        _keep_time(run, endpoint, patience, clock, drain)
     except BaseException:
         # a second signal, or a fault of the loop itself
         for _ in range(_LAST_WORDS):
@@ -251,12 +251,12 @@ def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> No
 def _keep_time(
     run: Run,
     endpoint: Endpoint,
+    patience: float,
     clock: Callable[[], int],
     drain: Callable[[], None],
-    period: int,
 ) -> None:
     """Take policy steps at their deadlines until the run is over."""
-    deadline = clock()
+    deadline, period = clock(), round(CASSIE.policy_period * _NS)
     while not run.is_over(clock()):
         drain()
         now = clock()
@@ -265,6 +265,7 @@ def _keep_time(
             _send(run, endpoint, command)
         reply, lateness = clock() - now, now - deadline
         run.finish_tick(now, lateness / _NS, reply / _NS)
+        _check_connected(run, endpoint, patience, now)
         run.tally.lateness.append(lateness / _NS)
         run.tally.reply.append(reply / _NS)
         run.tally.work.append((clock() - now) / _NS)
@@ -282,10 +283,11 @@ def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> Non
     Args:
         run: supervisor with its inputs.
         endpoint: socket to the robot.
-        patience: longest wait for an answer [s].
+        patience: longest wait for an answer [s], and for the first possible estimate [s of the
+            robot].
 
     Raises:
-        NetworkError: the robot does not answer.
+        NetworkError: the robot does not answer, or not with such estimates.
     """
     link = endpoint.link
     tick_ns, ticks = round(CASSIE.physics_timestep * _NS), 0
@@ -303,6 +305,7 @@ def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> Non
         command = run.tick(now)
         reply = time.monotonic() - began
         run.finish_tick(now, 0.0, reply)
+        _check_connected(run, endpoint, patience, now)
         run.tally.lateness.append(0.0)
         run.tally.reply.append(reply)
         run.tally.work.append(time.monotonic() - began)
@@ -325,6 +328,16 @@ def _connect(run: Run, endpoint: Endpoint, patience: float, clock: Callable[[], 
         f" aslip.network.twin, runs at this address and port, that it sends to {endpoint.local} in"
         " this mode, and that no other runner holds it"
     )
+
+
+def _check_connected(run: Run, endpoint: Endpoint, patience: float, time_ns: int) -> None:
+    """Give up on a robot whose estimates have not been possible for so long [s]."""
+    if run.supervisor.stage is Stage.CONNECT and time_ns > patience * _NS:
+        raise NetworkError(
+            f"{endpoint.peer} answers, but no walk could begin within {patience:g} s:"
+            f" {run.supervisor.reason}; restart the robot's estimator, or python -m"
+            " aslip.network.twin"
+        )
 
 
 def _wait(

@@ -7,7 +7,8 @@
     python -m aslip.network.twin --engine drake      # in Drake instead of MuJoCo
 
 In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
-after the tick. In real time the robot stands still until a command has torques or gains, holds the
+after the tick. A client that begins with zeros after another one has gone finds the robot on its
+feet. In real time the robot stands still until a command has torques or gains, holds the
 last command, and is damped after a silence of 0.1 s, in raw mode 10 ms. At the end the numbers of
 ticks and datagrams are printed.
 """
@@ -80,11 +81,11 @@ def main(config: Config) -> None:
         try:
             with contextlib.suppress(KeyboardInterrupt), signals_exit():
                 if server is None:
-                    serve_lockstep(robot, endpoint, stop)
+                    serve_lockstep(robot, endpoint, stop, say)
                 else:
                     server.run(stop)
         finally:
-            ticks = f"lockstep: {robot.ticks} ticks" if server is None else server.load
+            ticks = f"{robot.ticks} ticks of the last client" if server is None else server.load
             counts = {name: number for name, number in asdict(link.counters).items() if number}
             say(f"{ticks}\n{robot.divergences} divergences, datagrams: {counts}")
             if page is not None:

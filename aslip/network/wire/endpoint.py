@@ -182,8 +182,8 @@ class Endpoint:
             elif (answer := self.receive()) is not None:
                 return answer
         raise NetworkError(
-            f"no answer from {self.peer} within {timeout:g} s; check that it is running, and that"
-            " no other client holds it"
+            f"no answer from {self.peer} within {timeout:g} s; check that it is running in"
+            " this mode, PD or raw, and that no other client holds it"
         )
 
     def _open(self, datagram: bytes, sender: Address) -> np.ndarray | None:

@@ -243,6 +243,19 @@ def test_a_silent_robot_is_reported_with_what_to_check(loaded: Loaded) -> None:
         run_real_time(run, endpoint, patience=0.05)
 
 
+@pytest.mark.parametrize("drive", [run_lockstep, run_real_time])
+def test_a_robot_without_an_estimate_is_given_up(loaded: Loaded, drive: Any) -> None:
+    def serve(server: Endpoint, stop: Any) -> None:
+        while not stop():
+            if server.wait(0.01) and server.receive() is not None:
+                server.send(STATE_OUT.zeros())
+
+    run, _ = make_run(loaded)
+    wanted = r"127.0.0.1:\d+ answers, but no walk could begin within 0.05 s: waits, because esti"
+    with connected(serve) as endpoint, pytest.raises(NetworkError, match=wanted):
+        drive(run, endpoint, patience=0.05)
+
+
 def test_the_tally_counts_late_and_skipped_steps() -> None:
     tally = Tally([0.0, LATE / 2, 2 * LATE], [0.001] * 3, [0.002] * 3, skipped=1)
     assert "3 policy steps, 1 skipped, 2 late by more than 2 ms (50.00 %)" in tally.lines()[0]

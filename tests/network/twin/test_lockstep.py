@@ -1,6 +1,8 @@
 """A controller at the other end of a socket walks the twin as it walks the simulation."""
 
+import time
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -13,8 +15,10 @@ from aslip.library import GaitLibrary
 from aslip.network.twin import TwinRobot, serve_lockstep
 from aslip.network.wire import (
     PD_IN,
+    STATE_OUT,
     USER_IN,
     Endpoint,
+    Link,
     cassie_out_to_sensors,
     command_to_pd_in,
     state_out_to_estimate,
@@ -22,7 +26,7 @@ from aslip.network.wire import (
 )
 from aslip.robot import CASSIE
 from aslip.sim import PD, Simulations, Torque
-from tests.network.twin.sockets import robot_socket, serving, socket_to
+from tests.network.twin.sockets import ANY_PORT, robot_socket, serving, socket_to
 
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
 # the robot whose gains are those that reach the twin in single precision
@@ -132,6 +136,31 @@ def test_a_repeated_command_is_answered_without_a_tick() -> None:
         assert twin.ticks == 2
         assert client.link.step == 1
         assert state.shape == again.shape == ()
+
+
+def test_clients_one_after_another_begin_with_the_robot_on_its_feet(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also one at the address of the first; one that only pauses goes on."""
+    for name in ("twin.lockstep.SILENCE", "wire.endpoint.SILENCE", "twin.lockstep._GONE"):
+        monkeypatch.setattr(f"aslip.network.{name}", 0.02)
+    monkeypatch.setattr("aslip.network.twin.lockstep._PATIENCE", 0.005)
+    said, twin, begun, port = list[str](), TwinRobot(), [], ANY_PORT
+    with serving(partial(serve_lockstep, say=said.append), twin) as server:
+        for _ in range(2):
+            link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
+            with Endpoint(link, port, server.local) as client:
+                port = client.local
+                client.request(PD_IN.zeros())
+                begun.append(twin.states())
+                for _ in range(20):
+                    client.request(command_to_pd_in(STANDING))
+                time.sleep(0.05)
+                client.request(PD_IN.zeros())
+                assert twin.ticks == 22
+                time.sleep(0.05)
+    np.testing.assert_array_equal(*begun)
+    assert said == [f"client {port}", f"no command from {port} for 0.02 s: waiting"]
 
 
 def test_commands_that_are_not_finite_move_nothing() -> None:
