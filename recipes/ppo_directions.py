@@ -116,6 +116,7 @@ def main(
     resume_hint: str = "resume=True",
     *,
     make_stack: Callable[[aslip.GaitLibrary], Stack] | None = None,
+    add_training: Callable[[Stack], Stack] = lambda stack: stack,
     **networks: Any,
 ) -> list[WalkResult]:
     """Train a policy and evaluate it over the region of the library; see `ppo_aslip.main`.
@@ -125,13 +126,14 @@ def main(
         resume_hint: command that resumes the training, for messages.
         make_stack: function that makes the policy's stack; by default `directions_stack`, or
             `walking_stack` for robots that never stand.
+        add_training: function that adds more to the stack for training.
         networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     if make_stack is None:
         make_stack = directions_stack if config.stand else walking_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
-    robots = partial(aslip.make_env, stack=training_stack(config, stack))
+    robots = partial(aslip.make_env, stack=add_training(training_stack(config, stack)))
     critic = make_critic
     if config.privileged:
         critic = partial(make_privileged_critic, dynamics=drawn(config), key=PRIVILEGED)

@@ -40,6 +40,10 @@ class Config(UserPaths):
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins. In all directions
     three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate; "seconds:stand" to
     stand, with a policy that can."""
+    course: str | None = None
+    """Stones to walk over, with a policy that steps where a planner says: a JSON file, a pattern of
+    `aslip.sim.course.PATTERNS`, or the seed of a random course. Speeds of the command count, from
+    0.3 to 0.8 m/s; the robot is led along the stones."""
     push: tuple[str, ...] = ()
     """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N]: x to the front of the
     robot, y to its left, z up. Durations are rounded up to policy steps of 0.03 s, 0.12 s by
@@ -117,6 +121,7 @@ import aslip
 from aslip.base.processes import signals_exit
 from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
+from aslip.envs.directions import course_stack
 from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
@@ -124,6 +129,7 @@ from aslip.policy import policy_environment, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
+from aslip.sim.course import PATTERNS, Course, pattern, random_course
 from aslip.walking import Push, Walker, command_library, policy_steps
 
 # duration of the last speed of a schedule [s]
@@ -193,6 +199,13 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         )
     for command in schedule.commands:
         library.check_command(command)
+    if config.course is not None:
+        if made["stack"] != "planned":
+            raise ConfigurationError(
+                f"the policy {config.policy!r} does not step where a planner says, which --course"
+                " needs; recipes/stepping_stones.py trains one that does"
+            )
+        stack = course_stack(stack, [find_course(config.course)])
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
         stack["recorder"] = Recorder(
@@ -211,6 +224,13 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     )
     first = schedule.at(0.0), schedule.stand_at(0.0)
     return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
+
+
+def find_course(name: str) -> Course:
+    """Course of a pattern, a seed or a file."""
+    if name in PATTERNS:
+        return pattern(name)
+    return random_course(int(name)) if name.isdecimal() else Course.read(name)
 
 
 def training_length(policy: str) -> str:

@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Final, cast
 
+import numpy as np
 from tensordict.utils import NestedKey
 from torch import Tensor
 
 from aslip.envs import RewardSource
-from aslip.envs.edit import Stack, insert_before
+from aslip.envs.edit import Stack, insert_before, require_names
 from aslip.envs.straight import REWARD_SOURCES, shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
 from aslip.estimation import FilterNoise, StateEstimator
 from aslip.library import GaitLibrary
 from aslip.planning import BatchPlanner, Planner
+from aslip.sim.course import Course
 from aslip.transforms import (
     DIRECTION_TABLE,
     AssembleObservation,
     CommandFilter,
+    CourseCommand,
     EstimatedState,
     HeadingFrame,
     PhaseClock,
     PlannedReference,
+    RandomCourse,
     ReferenceInjection,
     ReferenceStart,
     RewardTerm,
+    SeenStones,
     StandClock,
     StandCommand,
     StandFilter,
@@ -164,3 +169,21 @@ def planned_stack(
     apart = ([(REWARD_SOURCES[reward_on], foot) for foot in feet], [("target", f) for f in feet])
     stack = insert_before(stack, "reward", **terms_of({rewards.feet_apart: apart}))
     return stack | {"reward": WeightedReward(PLANNED_WEIGHTS)}
+
+
+def course_stack(stack: Stack, courses: Sequence[Course] | np.ndarray) -> Stack:
+    """Stack of planned footsteps for robots on courses, which they see and are led along.
+
+    Args:
+        stack: `planned_stack`.
+        courses: see `aslip.transforms.RandomCourse`; a robot whose stones are all NaN is on the
+            floor.
+
+    Raises:
+        UnknownNameError: the stack has no `command`, `command_filter` or `reference`.
+    """
+    require_names(stack, ["command"])
+    command = cast("VelocityCommand", stack["command"])
+    stack = {**stack, "command": CourseCommand(command.library, command.interval)}
+    stack = insert_before(stack, "command_filter", course=RandomCourse(courses))
+    return insert_before(stack, "reference", seen=SeenStones())

@@ -46,5 +46,6 @@ from .standing import StandClock as StandClock
 from .standing import StandCommand as StandCommand
 from .standing import StandFilter as StandFilter
 from .standing import advance_mode as advance_mode
+from .stones import CourseCommand as CourseCommand
 from .stones import RandomCourse as RandomCourse
 from .stones import SeenStones as SeenStones

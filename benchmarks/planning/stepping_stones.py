@@ -68,6 +68,7 @@ from aslip.robot.rotation import rotate_level, yaw
 from aslip.show.palette import ROBOT
 from aslip.sim.course import ground_height, pattern, random_stones, stone_distances
 from aslip.transforms import RandomCourse, SeenStones
+from aslip.transforms.stones import along_course
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
 from benchmarks.common import Policies, Report, Subject, benchmark, table
@@ -78,8 +79,6 @@ _DEEP = 0.05
 _LANDED = 50.0
 # times for a course, in multiples of that at the commanded speed and beyond it [s]
 _PATIENCE, _START = 1.5, 5.0
-# largest sideways share of the speed, and yaw rate [rad/s], of the steered command
-_SIDEWAYS, _TURN = 0.3, 0.4
 
 
 @benchmark
@@ -142,8 +141,11 @@ def walk_courses(
     steps = int((_PATIENCE * length / speed + _START).max() / CASSIE.policy_period)
     walking, completed = np.ones(num, dtype=bool), np.zeros(num, dtype=bool)
     frames = [frame_of(td, stones, walking)]
+    places, speeds = torch.as_tensor(stones), torch.as_tensor(speed)[:, None]
     for _ in range(steps):
-        td["command"] = steered(frames[-1], stones, speed, td["command"])
+        pose = [torch.as_tensor(frames[-1][name]) for name in ("pelvis", "yaw")]
+        command = along_course(places, pose[0], pose[1][:, None], speeds)
+        td["command"] = command[:, : td["command"].shape[1]].to(td["command"])
         after = take_step(subject.policy, env, td)
         outcome = cast("TensorDictBase", after["next"])
         frame = frame_of(outcome, stones, walking)
@@ -184,22 +186,6 @@ def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dic
         "plan": plan,
         "walking": walking,
     }
-
-
-def steered(
-    frame: dict[str, np.ndarray], stones: np.ndarray, speed: np.ndarray, command: torch.Tensor
-) -> torch.Tensor:
-    """Command (n, c) along the middle of a course."""
-    middle = (stones[:, 1:, :2] + stones[:, :-1, :2]) / 2
-    nearest = np.linalg.norm(middle - frame["pelvis"][:, None], axis=-1).argmin(1)
-    aim = np.minimum(nearest + 2, middle.shape[1] - 1)
-    ahead = middle[np.arange(len(aim)), aim] - frame["pelvis"]
-    angle = np.arctan2(ahead[:, 1], ahead[:, 0]) - frame["yaw"]
-    angle = (angle + np.pi) % (2 * np.pi) - np.pi
-    sideways = np.clip(np.sin(angle), -_SIDEWAYS, _SIDEWAYS)
-    values = np.stack([speed, speed * sideways, np.clip(angle, -_TURN, _TURN)], axis=1)
-    wished = torch.as_tensor(values, dtype=command.dtype, device=command.device)
-    return wished[:, : command.shape[1]]
 
 
 def touchdowns(seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from torchrl.envs.utils import check_env_specs
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
+from aslip.envs.directions import course_stack, planned_stack
 from aslip.errors import AslipError, ConfigurationError, ShapeError
 from aslip.robot import NoiseLevel
 from aslip.robot.rotation import yaw
@@ -123,3 +124,21 @@ def test_a_robot_falls_below_its_stones_not_below_zero() -> None:
         batch_size=2,
     )
     assert fall._step(td, after)["terminated"][:, 0].tolist() == [True, False]
+
+
+def test_commands_lead_robots_along_their_course() -> None:
+    """Robots without stones keep the drawn commands."""
+    bend = pattern("zigzag", count=9).stones
+    pool = np.stack([bend, np.full_like(bend, np.nan)])
+    env = aslip.make_env(num_envs=16, seed=2, stack=course_stack(planned_stack(), pool))
+    td = env.reset()
+    on = torch.isfinite(td["stones", "course"][:, 0, 0])
+    assert 0 < on.sum() < 16
+    for _ in range(2):
+        command = td["command"]
+        assert (command[on, 0] >= 0.3 - 1e-6).all()
+        assert (command[on, 0] <= 0.8 + 1e-6).all()
+        # the course turns to the left first
+        assert (command[on, 2] > 0).all()
+        assert command[~on].std(0).min() > 0.05
+        td = cast("TensorDictBase", env.step(td.set("action", torch.zeros(16, 10)))["next"])

@@ -1,0 +1,142 @@
+"""Teach Cassie to step where a planner says, on stones and on the floor.
+
+    python recipes/stepping_stones.py              # train, evaluate, draw: runs/stepping_stones/
+    python recipes/stepping_stones.py --resume     # continue after Ctrl-C, kill or a crash
+    python recipes/walk.py --policy runs/stepping_stones --course 7 --command "0.5 0 0"
+
+A planner on a linear pendulum decides at every policy step where and when the next feet land, and
+the policy follows. It goes on from the policy of all directions, which has never seen a plan. Some
+robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
+floor, where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
+`ppo_directions.py`; evaluations walk commands on the floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ppo_directions import DirectionConfig
+from ppo_settings import ON_GPU, resume_command, training_settings, with_schedule
+
+from aslip.errors import one_line_errors
+from aslip.training.settings import check_range
+
+
+@dataclass(frozen=True)
+class StonesConfig(DirectionConfig):
+    """Settings of learning, and of the robots and courses to learn on."""
+
+    out: Path = Path("runs/stepping_stones")
+    """Folder of the run."""
+    start: str | None = "directions"
+    """Policy to start from: the name of a shipped one, a file or a run."""
+    total_steps: int = 3_200_000
+    """Policy steps to train for, rounded up to whole updates."""
+    samples: int = 4096
+    """Policy steps per update."""
+    minibatch: int = 512
+    """Samples per gradient step."""
+    learning_rate: float = 1e-4
+    """Initial learning rate of Adam."""
+    std: float = 0.08
+    """Initial standard deviation of the policy [rad]."""
+    last_std: float = 0.04
+    """Final standard deviation of the policy [rad]."""
+    stand: float = 0.1
+    """Share of the time with a stand command; 0 for robots that only walk."""
+    command_interval: float = 3.0
+    """Mean time between changes of the command in an episode [s]."""
+    ramp: float = 0.3
+    """Share of the training over which displaced footholds, ranges and pushes grow."""
+    courses: float = 0.5
+    """Share of the episodes on stones."""
+    footstep_ahead: float = 0.1
+    """Standard deviation of the displacement of footholds ahead [m]."""
+    footstep_sideways: float = 0.05
+    """Standard deviation of their displacement sideways [m]."""
+    eval_interval: int = 500_000
+    """Policy steps between evaluations."""
+
+    def __post_init__(self) -> None:
+        """Check types and ranges.
+
+        Raises:
+            ConfigurationError: a setting is invalid.
+        """
+        super().__post_init__()
+        check_range(self, 0, 1, "courses")
+
+
+PRESETS = {
+    "default": StonesConfig(),
+    "gpu": StonesConfig(
+        preset="gpu", out=Path("runs/stepping_stones_gpu"), **ON_GPU, total_steps=25_000_000
+    ),
+}
+"""Settings to start from, by name."""
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = training_settings(PRESETS)
+
+from functools import partial
+
+import numpy as np
+import ppo_directions
+
+from aslip.envs import Stack, insert_before
+from aslip.envs.directions import course_stack, planned_stack
+from aslip.sim.course import random_stones
+from aslip.training.settings import read_settings
+from aslip.transforms import RandomFootsteps
+from aslip.walking import WalkResult
+
+# sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
+_SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.25, 0.35), (0.0, 0.5, 1.0), 300, 16, 77
+
+
+def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
+    """Train a policy and evaluate it over the region of the library; see `ppo_aslip.main`.
+
+    Args:
+        config: the settings.
+        resume_hint: command that resumes the training, for messages.
+    """
+    config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
+    return ppo_directions.main(
+        config,
+        resume_hint,
+        make_stack=planned_stack,
+        add_training=partial(add_footsteps, config),
+    )
+
+
+def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
+    """Stack for training with courses, and with displaced footholds on the floor."""
+    if config.courses:
+        stack = course_stack(stack, course_pool(config.courses))
+    footsteps = RandomFootsteps(
+        config.footstep_ahead,
+        config.footstep_sideways,
+        difficulty_key="difficulty" if "difficulty" in stack else None,
+    )
+    return insert_before(stack, "reference", footsteps=footsteps)
+
+
+def course_pool(share: float) -> np.ndarray:
+    """Stones (p, s, 6) of random courses, and none at all for the rest of the episodes."""
+    rng = np.random.default_rng(_SEED)
+    courses = [
+        random_stones(rng, _EACH, count=_COUNT, size=size, difficulty=difficulty)
+        for size in _SIZES
+        for difficulty in _DIFFICULTIES
+    ]
+    stones = np.concatenate(courses)
+    flat = np.full((round(len(stones) * (1 - share) / share), *stones.shape[1:]), np.nan)
+    return np.concatenate([stones, flat])
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG, resume_hint=resume_command(CONFIG))

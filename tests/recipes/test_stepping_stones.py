@@ -1,0 +1,48 @@
+"""A training of planned footsteps starts from a policy and gives one that walks over a course."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.errors import ConfigurationError
+from aslip.policy import load_policy, policy_stack
+from aslip.sim.course import pattern
+from recipes import stepping_stones, walk
+from recipes.stepping_stones import StonesConfig
+from tests.helpers import TINY
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> StonesConfig:
+    out = tmp_path_factory.mktemp("runs") / "tiny"
+    own = {"out": out, "library": "directions", "start": "directions", "critic_steps": 64}
+    config = StonesConfig(**{**vars(TINY), **own})
+    stepping_stones.main(config)
+    return config
+
+
+def test_the_policy_starts_from_another_which_waits_for_the_critic(config: StonesConfig) -> None:
+    """Of two updates the first is the critic's alone."""
+    assert policy_stack(config.out) == "planned"
+    before, after = (load_policy(p).state_dict() for p in ("directions", config.out))
+    moved = [(after[name] - before[name]).abs().max() for name in after if "weight" in name]
+    # two epochs of Adam at most
+    assert 0 < torch.stack(moved).max() < 20 * config.learning_rate
+
+
+def test_a_policy_walks_over_a_course_of_ones_own(
+    config: StonesConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pattern("straight", count=3).write(tmp_path / "mine.json")
+    settings = {"command": "0:0.5 0 0", "duration": 0.6, "course": str(tmp_path / "mine.json")}
+    walk.main(walk.Config(policy=str(config.out), **settings))  # pyright: ignore
+    assert "the robot walked for 0.60 s" in capsys.readouterr().out
+    with pytest.raises(ConfigurationError, match=r"stepping_stones\.py trains one"):
+        walk.main(walk.Config(course="up"))
+
+
+def test_courses_are_of_a_share_of_the_episodes() -> None:
+    pool = stepping_stones.course_pool(0.25)
+    assert np.isnan(pool[:, 0, 0]).mean() == pytest.approx(0.75)
