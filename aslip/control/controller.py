@@ -30,7 +30,7 @@ from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
-from aslip.transforms.planned import PlannedReference
+from aslip.transforms.planned import PlannedReference, planned_estimator
 from aslip.transforms.reference import feedforward_target
 
 # groups of entries that each step overwrites
@@ -101,6 +101,7 @@ class Controller(ControllerBase[ControllerState]):
         baseline: key of the angles to which the action is added; by default the one in the
             policy's file, or `("reference", "motor_target")`.
         estimator: state estimator; its robot defines packets, gains and the policy period.
+            With a planner by default that of `planned_estimator`.
         motor_lead: lead of the motor references over the phase, in policy steps; see
             `ReferenceInjection`.
         command_rates: largest rates of the filtered command with a library of several axes
@@ -152,7 +153,9 @@ class Controller(ControllerBase[ControllerState]):
         self.library = library = library or GaitLibrary.load()
         self.observation = tuple(observation or OBSERVATION_TABLE)
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
-        self.estimator = StateEstimator() if estimator is None else estimator
+        if estimator is None:
+            estimator = planned_estimator() if plans else StateEstimator()
+        self.estimator = estimator
         self.motor_lead = motor_lead = check_number(
             "motor_lead", motor_lead, what="in policy steps"
         )

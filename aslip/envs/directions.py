@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Final, cast
@@ -15,7 +14,6 @@ from aslip.envs import RewardSource
 from aslip.envs.edit import Stack, insert_before, require_names
 from aslip.envs.straight import REWARD_SOURCES, shipped_library, stack_of, terms_of
 from aslip.errors import ConfigurationError
-from aslip.estimation import FilterNoise, StateEstimator
 from aslip.library import GaitLibrary
 from aslip.planning import BatchPlanner, Planner
 from aslip.sim.course import Course
@@ -40,6 +38,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
+from aslip.transforms.planned import planned_estimator
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PLANNED_WEIGHTS
 from aslip.transforms.standing import required_transitions
 
@@ -159,10 +158,8 @@ def planned_stack(
     del stack["reference"]
     feedforward = stack.pop("feedforward")
     reference = PlannedReference(library, planner, stands=True)
-    # stones have any height
-    stack["estimator"] = EstimatedState(
-        StateEstimator(noise=FilterNoise(ground=math.inf)), command_key=_FILTERED, mode_key="mode"
-    )
+    follows = {"command_key": _FILTERED, "mode_key": "mode"}
+    stack["estimator"] = EstimatedState(planned_estimator(), **follows)
     # the last action comes first in the observation's part of the stack, as in `walking_stack`
     stack = insert_before(stack, "action", reference=reference, feedforward=feedforward)
     feet = ("left_foot_position", "right_foot_position")

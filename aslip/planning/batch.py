@@ -45,6 +45,7 @@ class BatchPlanner:
         command: Array,
         stones: Stones | None = None,
         shift: Array | None = None,
+        aim: Array | None = None,
     ) -> Plan:
         """Plan footsteps, see `aslip.planning.Planner.plan`.
 
@@ -53,6 +54,7 @@ class BatchPlanner:
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
             stones: stones in the frame of the state.
             shift: (n, 2) displacement of the next foothold from the optimal one [m].
+            aim: (n, 2) foothold that the foot in flight was going to, see `Planner.plan` [m].
 
         Raises:
             ShapeError: the command is in single precision.
@@ -76,6 +78,9 @@ class BatchPlanner:
                 step = _clipped(wished if shift is None or k else wished + shift, *box)
             else:
                 places = self._places(problem, stones, k, foothold, wished, box)
+                if k == 0 and aim is not None:
+                    change = program.weights.change_of(stones, aim)
+                    places = (*places[:2], places[2] + change / program.weights.step)
                 stone, step, kept = self._choose(problem, stones, k, places, (foothold, height))
                 height = stones.height(stone, height)
                 possible.append(kept)
@@ -211,7 +216,10 @@ class BatchPlanner:
         xp, weights = namespace(cost), self.program.weights
         rise = abs(stones.heights - height[:, None]) - self.program.limits.rise
         violation = violation + rise.clip(0.0) ** 2
-        ahead = ((stones.centres - foothold[:, None]) * problem.ahead[:, None]).sum(-1)
+        if k == 0:
+            late = self._arrival(problem, foothold[:, None] + inside) - problem.times[:, 2:]
+            violation = violation + (self.program.limits.foot_speed * late.clip(0.0)) ** 2
+        ahead = (inside * problem.ahead[:, None]).sum(-1)
         wish = (problem.ahead**2).sum(-1)[:, None]
         stay = weights.stay * ((ahead < wish / 2) & (wish > 0))
         cost = weights.step * cost + stay + _VIOLATION * violation
@@ -221,13 +229,17 @@ class BatchPlanner:
 
     def _soonest(self, problem: Problem, foothold: Array, height: Array) -> Array:
         """Least t (n,) by which the foot can be at a foothold (n, 2)."""
-        xp, fast = namespace(foothold), self.program.limits.foot_speed
-        way = foothold - problem.swing[:, :2]
-        length = ((way**2).sum(-1) + 1e-12) ** 0.5
-        speed = fast + (way * problem.velocity).sum(-1) / length
-        time = problem.shift + length / speed.clip(fast / 5)
+        time = self._arrival(problem, foothold[:, None])
         down = self.program.least_time(problem, height[:, None])
-        return self.program.variable(problem, xp.maximum(time[:, None], down))[:, 0]
+        return self.program.variable(problem, namespace(time).maximum(time, down))[:, 0]
+
+    def _arrival(self, problem: Problem, places: Array) -> Array:
+        """Least times (n, m) until the swing foot can be at places (n, m, 2) [s]."""
+        fast = self.program.limits.foot_speed
+        way = places - problem.swing[:, None, :2]
+        length = ((way**2).sum(-1) + 1e-12) ** 0.5
+        speed = fast + (way * problem.velocity[:, None]).sum(-1) / length
+        return problem.shift[:, None] + length / speed.clip(fast / 5)
 
 
 def _axes(problem: Problem, k: int) -> Array:

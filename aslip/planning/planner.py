@@ -61,7 +61,13 @@ class Planner:
         self._hessian = np.zeros((1 + 2 * steps, 1 + 2 * steps))
         self._hessian[1:, 1:] = 2 * np.kron(self.program.matrix, np.eye(2))
 
-    def plan(self, state: WalkState, command: np.ndarray, stones: Stones | None = None) -> Plan:
+    def plan(
+        self,
+        state: WalkState,
+        command: np.ndarray,
+        stones: Stones | None = None,
+        aim: np.ndarray | None = None,
+    ) -> Plan:
         """Plan footsteps.
 
         Without stones the floor is flat, at the height of the stance foot. If no stones are
@@ -73,13 +79,20 @@ class Planner:
             state: state of n robots.
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
             stones: stones in the frame of the state.
+            aim: (n, 2) foothold that the foot in flight was going to [m], NaN for none: other
+                stones cost more the further they are from it, so that noise does not change it.
 
         Raises:
             SolverError: there is no solution, as for a state or command that is not finite.
         """
         problem = self.program.problem(state, command)
         found = [
-            StoneSearch(self, _row(problem, i), stones and stones.select(i)).best()
+            StoneSearch(
+                self,
+                _row(problem, i),
+                stones and stones.select(i),
+                None if aim is None else aim[i : i + 1],
+            ).best()
             for i in range(len(state.since))
         ]
         variables = np.array([one.variables for one in found])
@@ -167,9 +180,16 @@ class StoneSearch:
         planner: planner with the program.
         problem: program of the robot, n = 1.
         stones: its stones, or None for flat floor.
+        aim: (1, 2) where its foot in flight was going to, or None.
     """
 
-    def __init__(self, planner: Planner, problem: Problem, stones: Stones | None) -> None:
+    def __init__(
+        self,
+        planner: Planner,
+        problem: Problem,
+        stones: Stones | None,
+        aim: np.ndarray | None = None,
+    ) -> None:
         program = planner.program
         self._steps = program.steps
         self._hessian, self._slope, self._constant = planner.objective(problem)
@@ -188,6 +208,9 @@ class StoneSearch:
         heights = problem.stance[:, 2:]
         if stones is not None:
             self._prepare(program, problem, stones)
+            if aim is not None:
+                change = program.weights.change_of(stones, aim)[0, self.kept]
+                self._first = self._first + change
             heights = stones.heights[:, self.kept]
         self._least = program.variable(problem, program.least_time(problem, heights))[0]
         if stones is None:
@@ -219,7 +242,9 @@ class StoneSearch:
         self._possible = (
             (far[0] >= low_x) & (near[0] <= high_x) & (far[1] >= low_y) & (near[1] <= high_y)
         ) & self._level
-        ahead = (middle - np.concatenate([stance[None, :2], middle])[:, None]) @ problem.ahead[0]
+        start = np.concatenate([stance[None, :2], middle])[:, None]
+        place = stones.nearest(start[None] + problem.ahead)[0][:, self.kept]
+        ahead = (place - start) @ problem.ahead[0]
         wished = problem.ahead[0] @ problem.ahead[0]
         # variances of the footholds, sums of the steps to them, where the cost is a density
         steps = np.linalg.inv(self._hessian)[1:, 1:].reshape(self._steps, 2, self._steps, 2)
@@ -228,6 +253,7 @@ class StoneSearch:
         along = np.einsum("mei,sij,mej->sme", self._normals, spread, self._normals)
         self._stiffness = 0.5 / along
         self._extra = program.weights.stay * (ahead < wished / 2) * (wished > 0)
+        self._first = self._extra[0]
 
     def best(self) -> _Found:
         """Optimum, or the safest step."""
@@ -251,7 +277,7 @@ class StoneSearch:
             if not self._level[last + 1, stone]:
                 return np.inf
             self._place(depth, stone)
-            extra, last = extra + float(self._extra[last + 1, stone]), stone
+            extra, last = extra + float(self._extras(depth, last)[stone]), stone
         solved = self._solve(len(sequence))
         return np.inf if solved is None else solved[1] + extra
 
@@ -268,7 +294,8 @@ class StoneSearch:
         """
         depth, possible = len(stones), np.flatnonzero(self._possible[len(stones), last + 1])
         bounds = solved[1] + self._bound(depth, possible, solved[0])
-        bounds = bounds + extra + self._extra[last + 1, possible]
+        extras = self._extras(depth, last)
+        bounds = bounds + extra + extras[possible]
         for k in np.argsort(bounds):
             i, worst = int(possible[k]), self._best.cost - _TOLERANCE
             # more steps on stones count more than cost
@@ -278,7 +305,7 @@ class StoneSearch:
             found = self._solve(depth + 1)
             if found is None:
                 continue
-            chosen, more = (*stones, i), extra + float(self._extra[last + 1, i])
+            chosen, more = (*stones, i), extra + float(extras[i])
             value = (-len(chosen), found[1] + more)
             if value < (-len(self._best.stones), self._best.cost):
                 self._best = _Found(found[0], value[1], chosen)
@@ -286,6 +313,10 @@ class StoneSearch:
                 continue
             if len(chosen) < self._steps:
                 self._visit(chosen, i, found, more)
+
+    def _extras(self, depth: int, last: int) -> np.ndarray:
+        """Cost (m,) of stones themselves, at a depth after another."""
+        return self._first if depth == 0 else self._extra[last + 1]
 
     def _bound(self, depth: int, stones: np.ndarray, variables: np.ndarray) -> np.ndarray:
         """Least additional cost of stones (k,) for a step, from the optimum without them.
@@ -337,8 +368,8 @@ class StoneSearch:
             found = self._solve(1, self._fixed if within_limits else 1)
             if found is not None and (best is None or found[1] < best[1]):
                 best = found
-        if best is None:
-            raise SolverError("DAQP found no footsteps for soft constraints")
+        if best is None:  # of a robot that falls: the foot stays where it is
+            best = (np.zeros(len(self._hessian)), np.inf)
         return _Found(best[0], best[1] + self._constant, (), within_limits, False)
 
 

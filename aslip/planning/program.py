@@ -29,6 +29,7 @@ from aslip.base.checks import TINY, check_count, check_number
 from aslip.errors import ConfigurationError
 from aslip.planning.pendulum import Pendulum
 from aslip.planning.state import WalkState
+from aslip.planning.stones import Stones
 
 Range = tuple[float, float]
 
@@ -64,7 +65,7 @@ class Limits:
     """Height of the swing foot above the higher foothold, at half swing [m]."""
     half_foot: float = 0.08
     """Half the length of a foot that shall stand on a stone [m]."""
-    margin: float = 0.01
+    margin: float = 0.03
     """Distance that it keeps to the edges of stones [m]."""
 
     def __post_init__(self) -> None:
@@ -92,6 +93,15 @@ class Weights:
     stay: float = 1.0
     """A step to a stone that is less than half as far ahead as the command's step [-]; without it,
     where stones are far apart, a robot would rather step in place than fast."""
+
+    change: float = 10.0
+    """Change of the stone that a foot in flight goes to, by distance [1/m^2]."""
+
+    def change_of(self, stones: Stones, aim: Array) -> Array:
+        """Cost (n, m) of stones for feet that go to (n, 2); none where that is NaN."""
+        xp = namespace(aim)
+        away = stones.nearest(aim[:, None, None])[:, 0] - aim[:, None]
+        return xp.nan_to_num(self.change * (away**2).sum(-1))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

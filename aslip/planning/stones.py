@@ -14,6 +14,8 @@ from aslip.errors import ConfigurationError
 _STRAIGHT, _SHORT = 1e-9, 1e-6
 # where stones are put that do not exist [m]
 _FAR_AWAY = 1e3
+# sweeps of projections onto the edges; one is exact on rectangles
+_SWEEPS = 2
 # share of a stone's half width that is left if it is smaller than the foot
 _LEFT = 0.1
 
@@ -145,6 +147,15 @@ class Stones:
         less = half_length * abs(along) + margin
         inside = self.offsets - (self.normals * self.centres[..., None, :]).sum(-1)
         return self.offsets[:, None] - xp.minimum(less, (1 - _LEFT) * inside[:, None])
+
+    def nearest(self, points: Array) -> Array:
+        """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""
+        found = points + 0 * self.centres[:, None]
+        for edge in [*range(self.offsets.shape[-1])] * _SWEEPS:
+            normal = self.normals[:, None, :, edge]
+            beyond = ((normal * found).sum(-1) - self.offsets[:, None, :, edge]).clip(0.0)
+            found = found - beyond[..., None] * normal
+        return found
 
     def height(self, stone: Array, floor: Array) -> Array:
         """Heights (n,) of stones by index (n,); that of the floor (n,) for index -1."""

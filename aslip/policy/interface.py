@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from tensordict.utils import NestedKey, unravel_key
 from torch import nn
@@ -50,7 +50,8 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
 def reference_library(env: StackEnv) -> GaitLibrary | None:
     """Gaits of an environment's reference, in which plans start; None for another reference."""
     kinds = ReferenceInjection | PlannedReference
-    return next((t.library for t in env.transforms if isinstance(t, kinds)), None)
+    found = (t.library for t in env.transforms if isinstance(t, kinds))
+    return cast("GaitLibrary | None", next(found, None))
 
 
 def stack_name(env: StackEnv) -> str | None:

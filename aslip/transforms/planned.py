@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass, replace
 from types import MappingProxyType
@@ -15,7 +16,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.base.checks import check_number
-from aslip.estimation import Tracking
+from aslip.estimation import FilterNoise, StateEstimator, Tracking
 from aslip.ik import LegTable
 from aslip.library import GaitLibrary, WalkMode
 from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, WalkState
@@ -43,6 +44,9 @@ _HEADINGS = ("body_heading", *(f"{side}_foot_heading" for side in SIDES))
 _ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for side in SIDES))
 # read where they are
 _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
+# a foot lands before its time if it touches within this height of its foothold [m], this time
+# before the touchdown, and this time after the one before [s]
+_TOUCHING, _EARLY, _SHORTEST = 0.025, 0.12, 0.2
 # error of the divergent component from which a plan follows fast [m]
 _LARGE = 0.15
 # vertical force on a foot from which it is loaded, if the estimate is the truth [N]
@@ -56,6 +60,11 @@ _HEIGHT = 0.875
 def default_planner() -> BatchPlanner:
     """Planner of all robots at once, of bodies as high as in the shipped library."""
     return BatchPlanner(Program(Pendulum(height=_HEIGHT)))
+
+
+def planned_estimator() -> StateEstimator:
+    """State estimator for ground of any height, as stones have."""
+    return StateEstimator(noise=FilterNoise(ground=math.inf))
 
 
 class PlannedReference(SeededTransform):
@@ -130,13 +139,21 @@ class PlannedReference(SeededTransform):
 
     def go_on(self, past: TensorDictBase, present: TensorDictBase) -> TensorDictBase:
         """Write the entries a policy step after `past`, see `begin`; in place."""
-        led = WalkState.from_rows(cast("Tensor", past["plan", "state"]))
-        state = self._drawn(led.seen_from(*_frame_between(past, present)), present)
+        frame = _frame_between(past, present)
+        aim = cast("Tensor", past["plan", "foothold"])
+        led = WalkState.from_rows(cast("Tensor", past["plan", "state"])).seen_from(*frame)
+        state = self._drawn(_landed(led, aim, past, present), present)
+        flies = (state.since > self.planner.program.pendulum.double_stance)[:, None]
+        turned = rotate_about_vertical(
+            aim - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
+        )
+        aim = torch.where(flies, turned[:, :2], torch.nan)
         if self._stands:
             begins = cast("Tensor", past["mode"]) != WalkMode.WALK
             first = self._started(present).to_rows()
             state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
-        return self._written(present, state)
+            aim = torch.where(begins, torch.nan, aim)
+        return self._written(present, state, aim)
 
     def _started(self, found: TensorDictBase) -> WalkState:
         odometry = cast("TensorDictBase", found["odometry"])
@@ -169,10 +186,14 @@ class PlannedReference(SeededTransform):
             foot_position=foot,
         )
 
-    def _written(self, into: TensorDictBase, state: WalkState) -> TensorDictBase:
+    def _written(
+        self, into: TensorDictBase, state: WalkState, aim: Tensor | None = None
+    ) -> TensorDictBase:
         """Plan from a state, and write reference, target, plan, odometry and phase."""
         shift = state.body_position[:, :2].clone()
-        now, later, plan = self._planned(into, state.seen_from(shift, 0 * shift[:, 0]), shift)
+        aim = None if aim is None else aim - shift
+        moved = state.seen_from(shift, 0 * shift[:, 0])
+        now, later, plan = self._planned(into, moved, shift, aim)
         turn = later.heading.angle
         reference = _entries_of(now, 0 * turn) | self._motors(now, later)
         target = _entries_of(later, turn)
@@ -194,7 +215,7 @@ class PlannedReference(SeededTransform):
         return _recentred(into, shift)
 
     def _planned(
-        self, found: TensorDictBase, state: WalkState, shift: Tensor
+        self, found: TensorDictBase, state: WalkState, shift: Tensor, aim: Tensor | None
     ) -> tuple[Any, Any, dict[str, Tensor]]:
         """`PlanSample`s of tensors, now and a policy step later, and the entries of the plan."""
         command = cast("Tensor", found[self._command_key])
@@ -203,7 +224,11 @@ class PlannedReference(SeededTransform):
         corners = found.get(("stones", "corners"), None)
         if corners is None:
             return self._sampled(state, command, free)
-        given = {"stones": (corners - shift[:, None, None], found["stones", "height"])}
+        given: dict[str, Any] = {
+            "stones": (corners - shift[:, None, None], found["stones", "height"])
+        }
+        if aim is not None:
+            given["aim"] = aim
         there = corners.isfinite().flatten(1).any(1)
         if there.all():
             return self._sampled(state, command, given)
@@ -214,13 +239,12 @@ class PlannedReference(SeededTransform):
         self, state: WalkState, command: Tensor, given: Mapping[str, Any]
     ) -> tuple[Any, Any, dict[str, Tensor]]:
         """Plan, and what `_planned` returns."""
-        planner: Any = self.planner
         # single precision loses the time of the touchdown, of which costs hardly depend
-        convert = _to_numpy if isinstance(planner, Planner) else _to_double
+        convert = _to_numpy if isinstance(self.planner, Planner) else _to_double
         state, command, given = _mapped(convert, (state, command, dict(given)))
         if "stones" in given:
-            given = {"stones": Stones.from_corners(*given["stones"])}
-        plan = planner.plan(state, command, **given)
+            given = {**given, "stones": Stones.from_corners(*given["stones"])}
+        plan = cast("Any", self.planner).plan(state, command, **given)
         period = 0 * command[:, 0] + CASSIE.policy_period
         now, later = (plan.sample(time) for time in (0 * period, period))
         written = {
@@ -293,6 +317,38 @@ def _frame_between(past: TensorDictBase, present: TensorDictBase) -> tuple[Tenso
     heading, turned = _heading(past), _heading(present)
     moved = rotate_about_vertical(after - before, -heading)
     return moved[:, :2], wrap(turned - heading)[:, 0]
+
+
+def _landed(
+    led: WalkState, foothold: Tensor, past: TensorDictBase, present: TensorDictBase
+) -> WalkState:
+    """State in which feet have landed that touch the ground a little before their time.
+
+    Args:
+        led: state to which the plan led.
+        foothold: (n, 3) where the foot in flight was going to, of which the height counts [m].
+        past: entries of the step before.
+        present: entries now.
+    """
+    odometry = cast("TensorDictBase", present["odometry"])
+    estimated = torch.stack([cast("Tensor", odometry[name]) for name in _ODOMETRY[2:]], 1)
+    swing = torch.arange(2, device=led.stance.device) != led.stance[:, None]
+    left = cast("Tensor", past["plan", "time"]) - CASSIE.policy_period
+    low = estimated[..., 2] < foothold[:, 2:] + _TOUCHING
+    soon = (left > 0) & (left < _EARLY) & (led.since[:, None] > _SHORTEST)
+    lands = swing & _contact(present) & low & soon
+    now = lands.any(-1)
+    rest = torch.where(lands[..., None], 0.0, 1.0)
+    stood = led.of_foot(led.foot_position, swing=False)
+    return replace(
+        led,
+        foot_position=torch.where(lands[..., None], estimated, led.foot_position),
+        foot_velocity=rest * led.foot_velocity,
+        foot_acceleration=rest * led.foot_acceleration,
+        lift_off=torch.where(now[:, None], stood, led.lift_off),
+        stance=torch.where(now, 1 - led.stance, led.stance),
+        since=torch.where(now, 0.0, led.since),
+    )
 
 
 def _heading(found: TensorDictBase) -> Tensor:

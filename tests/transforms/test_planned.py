@@ -1,5 +1,6 @@
 """References of a planner: motion without jumps, feet at their places, stones, random footsteps."""
 
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
@@ -22,7 +23,7 @@ from aslip.transforms.base import extend_spec
 NUM = 6
 
 
-def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> TensorDictBase:
+def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> Any:
     """Entries (NUM, steps) of walks of a policy."""
     start = TensorDict({"command": torch.tensor([[0.5, 0.0, 0.3]] * NUM), **first}, [NUM])
     policy, found = load_policy("directions"), []
@@ -35,18 +36,20 @@ def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> TensorDictBa
 
 
 @pytest.fixture(scope="module")
-def walk() -> TensorDictBase:
+def walk() -> Any:
     stack = insert_before(planned_stack(), "reference", footsteps=RandomFootsteps(interval=0.2))
     env = aslip.make_env(num_envs=NUM, seed=3, stack=stack, drop=["low_reward"])
     heading = torch.linspace(2.8, 3.4, NUM)[:, None]
     return _walk(env, heading=heading, stand=torch.zeros(NUM, 1))
 
 
-def test_plans_go_on_where_they_led(walk: TensorDictBase) -> None:
+def test_plans_go_on_where_they_led(walk: Any) -> None:
     """Swing feet stay on their path while footholds change, also where the heading wraps."""
-    target, reference = walk["target"][:, :-1], walk["reference"][:, 1:]
+    target: Any = walk["target"][:, :-1]
+    reference: Any = walk["reference"][:, 1:]
     led = WalkState.from_rows(walk["plan", "state"][:, :-1].flatten(0, 1))
     swing = (led.stance[:, None] != torch.arange(2)).reshape(NUM, -1, 2)
+    swing &= ~walk["estimator", "contact"][:, 1:]  # feet that touch the ground may have landed
     for i, side in enumerate(SIDES):
         moves = (reference[f"{side}_foot_velocity"] - target[f"{side}_foot_velocity"])[
             swing[..., i]
@@ -54,14 +57,15 @@ def test_plans_go_on_where_they_led(walk: TensorDictBase) -> None:
         turns = (reference[f"{side}_foot_heading"] - target[f"{side}_foot_heading"])[swing[..., i]]
         assert moves.abs().max() < 1e-4
         assert turns.abs().max() < 1e-4
+    assert swing.sum() > NUM * 10
     jumps = (walk["plan", "foothold"][:, 1:] - walk["plan", "foothold"][:, :-1]).norm(dim=-1)
     assert jumps.max() > 0.1
     assert walk["heading"].amin() < -3
     assert walk["heading"].amax() > 3
 
 
-def test_motors_put_feet_where_the_target_says(walk: TensorDictBase) -> None:
-    target = walk["target"]
+def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
+    target: Any = walk["target"]
     feet = torch.stack([target[f"{side}_foot_position"] for side in SIDES], -2)
     toes = torch.cat([target[f"{side}_foot_heading"] for side in SIDES], -1)
     # the frame turns with the body
@@ -100,7 +104,7 @@ class OneStone(SeededTransform):
     def transform_observation_spec(self, observation_spec: Any) -> Any:
         extend_spec(observation_spec, {("stones", "height"): 2})
         corners = observation_spec["stones", "height"].shape[:-1]
-        observation_spec["stones", "corners"] = Unbounded((*corners, 2, 4, 2))
+        observation_spec["stones", "corners"] = Unbounded(torch.Size((*corners, 2, 4, 2)))
         return observation_spec
 
 
@@ -125,11 +129,32 @@ def test_a_reset_of_some_robots_leaves_the_others() -> None:
     mask = torch.tensor([[False], [True], [False]])
     again = env.reset(td.clone().set("_reset", mask))
     for key in ("reference", "target", "plan", "odometry"):
-        for name, value in td[key].items():
+        for name, value in cast("TensorDictBase", td[key]).items():
             assert torch.equal(again[key, name][[0, 2]], value[[0, 2]]), (key, name)
     assert not torch.equal(again["plan", "state"][1], td["plan", "state"][1])
 
 
 def test_a_wrong_share_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="follow"):
-        PlannedReference(shipped_library("directions"), follow=1.5)
+        PlannedReference(shipped_library("directions"), follow=(0.1, 1.5))
+
+
+def test_a_foot_that_touches_the_ground_has_landed() -> None:
+    """Before its time, if it is as low as its foothold; the next foot may lift off then."""
+    env = aslip.make_env(num_envs=NUM, seed=3, stack="planned")
+    td = env.reset(TensorDict({"stand": torch.zeros(NUM, 1)}, [NUM]))
+    planned: Any = td["plan"].clone()
+    led = WalkState.from_rows(planned["state"])
+    swing = torch.arange(2) != led.stance[:, None]
+    present: Any = td.clone()
+    present["estimator", "contact"] = torch.ones(NUM, 2, dtype=torch.bool)
+    for i, side in enumerate(SIDES):
+        present["odometry", f"{side}_foot_position"][:, 2] = 0.1 * (torch.arange(NUM) == i)
+    planned["time"][:] = 0.1
+    planned["state"] = replace(led, since=led.since + 0.25).to_rows()
+    reference = PlannedReference(shipped_library("directions"), stands=True)
+    after = reference.go_on(td.clone().set("plan", planned), present)
+    found = WalkState.from_rows(cast("torch.Tensor", after["plan", "state"]))
+    low = ~(swing & (torch.arange(NUM)[:, None] == torch.arange(2))).any(1)
+    assert torch.equal(found.stance != led.stance, low)
+    assert (found.since[low] < 0.05).all()
