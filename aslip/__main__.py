@@ -14,6 +14,7 @@ from aslip.programs import PROGRAMS
 COMMANDS: Final = {
     "train": ("recipes.ppo_aslip", "train a policy to walk straight ahead"),
     "train directions": ("recipes.ppo_directions", "train a policy to walk in all directions"),
+    "train stones": ("recipes.stepping_stones", "train a policy to step where a planner says"),
     "train sac": ("recipes.sac_aslip", "train a policy by SAC instead of PPO"),
     "walk": ("recipes.walk", "walk with a policy: film, log, numbers"),
     "live": ("recipes.walk", "watch and steer a robot in the browser: walk --live"),

@@ -152,6 +152,7 @@ class Config(UserPaths):
         check_range(self, 0, 0.99, "fall_after")
         check_range(self, 0, 2**63 - 1, "seed")
         check_range(self, 0, math.inf, "checkpoint_minutes", "schedule_steps", "num_collectors")
+        check_range(self, 0, math.inf, "critic_steps")
         if self.physics_timestep not in TIMESTEPS:
             raise ConfigurationError(
                 f"physics_timestep must be one of {TIMESTEPS} s, got {self.physics_timestep}"

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ppo_directions import DirectionConfig
+from ppo_direction_settings import DirectionConfig
 from ppo_settings import ON_GPU, resume_command, training_settings, with_schedule
 
 from aslip.errors import one_line_errors

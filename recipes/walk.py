@@ -141,10 +141,11 @@ def main(config: Config) -> None:
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
-    look = Look(config.camera, config.width, config.height, config.rom)
+    course = None if config.course is None else find_course(config.course)
+    look = Look(config.camera, config.width, config.height, config.rom, course=course)
     if config.video is not None:
         check_look(look)
-    walker = make_walker(config, schedule)
+    walker = make_walker(config, schedule, course)
     for policy in dict.fromkeys([config.policy, *config.policies]):
         print(f"policy {policy}: {training_length(policy)}")
     schedule = schedule.of_size(walker.library.command_size)
@@ -153,7 +154,7 @@ def main(config: Config) -> None:
             if config.live:
                 serve(config, walker)
                 return
-            rows, frames = walk(config, walker, schedule, pushes)
+            rows, frames = walk(config, walker, schedule, pushes, look)
     finally:
         if walker.time:
             ending = "fell after" if walker.fallen else "walked for"
@@ -182,7 +183,7 @@ def serve(config: Config, walker: Walker) -> None:
     page.serve()
 
 
-def make_walker(config: Config, schedule: Schedule) -> Walker:
+def make_walker(config: Config, schedule: Schedule, course: Course | None = None) -> Walker:
     """Robot in its environment, with a recorder if there is a log to write.
 
     Raises:
@@ -199,13 +200,13 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         )
     for command in schedule.commands:
         library.check_command(command)
-    if config.course is not None:
+    if course is not None:
         if made["stack"] != "planned":
             raise ConfigurationError(
                 f"the policy {config.policy!r} does not step where a planner says, which --course"
                 " needs; recipes/stepping_stones.py trains one that does"
             )
-        stack = course_stack(stack, [find_course(config.course)])
+        stack = course_stack(stack, [course])
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
         stack["recorder"] = Recorder(
@@ -266,7 +267,7 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
 
 
 def walk(
-    config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
+    config: Config, walker: Walker, schedule: Schedule, pushes: list[Push], look: Look
 ) -> tuple[list[dict[str, float]], list[Frame]]:
     """Walk through the schedule or until a fall.
 
@@ -280,7 +281,7 @@ def walk(
         if config.viewer:
             from aslip.show.viewer import open_viewer
 
-            show = stack.enter_context(open_viewer(rom=config.rom))
+            show = stack.enter_context(open_viewer(look.model(), rom=config.rom))
         for _ in tqdm(range(policy_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
             walker.stand = schedule.stand_at(walker.time)

@@ -19,7 +19,7 @@ from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
 
-STRAIGHT_STACKS = [name for name in STACKS if name not in ("directions", "walking")]
+STRAIGHT_STACKS = [name for name in STACKS if name not in ("directions", "walking", "planned")]
 """Stacks of straight walks."""
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}

@@ -163,8 +163,16 @@ def planned_stack(
     # the last action comes first in the observation's part of the stack, as in `walking_stack`
     stack = insert_before(stack, "action", reference=reference, feedforward=feedforward)
     feet = ("left_foot_position", "right_foot_position")
-    apart = ([(REWARD_SOURCES[reward_on], foot) for foot in feet], [("target", f) for f in feet])
-    stack = insert_before(stack, "reward", **terms_of({rewards.feet_apart: apart}))
+    source = REWARD_SOURCES[reward_on]
+    feet = ("left_foot_position", "right_foot_position")
+    reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
+        rewards.feet_apart: (
+            [(source, foot) for foot in feet],
+            [("target", foot) for foot in feet],
+        ),
+        rewards.speed_diff: ([(source, "pelvis_velocity")], [_FILTERED]),
+    }
+    stack = insert_before(stack, "reward", **terms_of(reads))
     return stack | {"reward": WeightedReward(PLANNED_WEIGHTS)}
 
 

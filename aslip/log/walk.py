@@ -85,7 +85,7 @@ def _odometry(series: Series) -> dict[str, np.ndarray]:
 def _from_start(truth: Series) -> dict[str, np.ndarray]:
     """Odometry at each instant of a log, in the heading frame of its first instant."""
     rows = {name: torch.from_numpy(values) for name, values in _odometry(truth).items()}
-    rows["slope"] = torch.zeros_like(rows["pelvis_position"][:, :1])
+    rows["slope"] = rows["ground_height"] = torch.zeros_like(rows["pelvis_position"][:, :1])
     first = {name: value[:1] for name, value in rows.items()}
     turned = in_heading_frame(rows, true_heading(first), start_of(first))
     return {name: value.numpy() for name, value in turned.items()}

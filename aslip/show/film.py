@@ -29,6 +29,8 @@ from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.model_place import BESIDE_STEPS, RomPlace
 from aslip.show.palette import MODEL, ROBOT, rgba
+from aslip.sim.course import Course
+from aslip.sim.stones import course_model
 from aslip.walking import reset_walks, walk
 from aslip.walking.record import commands_kept
 
@@ -96,6 +98,12 @@ class Look:
     hidden."""
     path: np.ndarray | None = None
     """(n, 2) path on the floor to draw, with the robot's own up to each frame [m]."""
+    course: Course | None = None
+    """Stones to draw."""
+
+    def model(self) -> mujoco.MjModel:
+        """Model of robot and stones."""
+        return load_model() if self.course is None else course_model(self.course)
 
 
 def check_look(look: Look) -> None:
@@ -139,9 +147,9 @@ def draw(frames: Sequence[Frame], look: Look) -> Iterator[np.ndarray]:
     """
     from aslip.show.render import render_frames
 
-    model, offset = None, np.zeros(3)
+    model, offset = look.model(), np.zeros(3)
     if look.rom == "beside" and isinstance(look.camera, str):
-        model, offset = camera_beside(look.camera)
+        model, offset = camera_beside(look.camera, model)
     pictures = render_frames(
         np.stack([frame.qpos for frame in frames]),
         camera=look.camera,
@@ -226,13 +234,14 @@ def _write_caption(picture: np.ndarray, frame: Frame) -> np.ndarray:
     return np.asarray(image)
 
 
-def camera_beside(camera: str) -> tuple[mujoco.MjModel, np.ndarray]:
+def camera_beside(camera: str, model: mujoco.MjModel) -> tuple[mujoco.MjModel, np.ndarray]:
     """Model whose camera shows the robot on the right, and the offset (3,) of what is left [m].
 
     Args:
         camera: camera that follows the robot without turning.
+        model: model with that camera, which is copied.
     """
-    model = copy.deepcopy(load_model())
+    model = copy.deepcopy(model)
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
     to_right = model.cam_mat0[index].reshape(3, 3)[:, 0].copy()
     to_right[2] = 0.0

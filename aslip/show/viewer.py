@@ -14,7 +14,6 @@ import numpy as np
 from aslip.errors import RenderingError
 from aslip.library.footholds import yaw_rotation
 from aslip.robot import CASSIE
-from aslip.robot.model import load_model
 from aslip.show.film import Frame
 from aslip.show.model_place import BESIDE_STEPS, RomPlace
 from aslip.show.pacing import Pacer
@@ -22,12 +21,15 @@ from aslip.show.render import add_ghost
 
 
 @contextlib.contextmanager
-def open_viewer(*, rom: RomPlace = "beside") -> Iterator[Callable[[Frame], None]]:
+def open_viewer(
+    model: mujoco.MjModel, *, rom: RomPlace = "beside"
+) -> Iterator[Callable[[Frame], None]]:
     """Open a window; yield a function that shows a frame for the duration of a policy step.
 
     The function raises KeyboardInterrupt once the window is closed.
 
     Args:
+        model: the robot with its visible geoms, see `aslip.show.film.Look.model`.
         rom: place of the reduced-order model.
 
     Raises:
@@ -36,7 +38,6 @@ def open_viewer(*, rom: RomPlace = "beside") -> Iterator[Callable[[Frame], None]
     # without a display MuJoCo fails in a thread of its own, and waits
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
-    model = load_model()
     data, orientation = mujoco.MjData(model), CASSIE.indices.pelvis_orientation
     try:
         window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)

@@ -46,7 +46,7 @@ _ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for
 _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
 # a foot lands before its time if it touches within this height of its foothold [m], this time
 # before the touchdown, and this time after the one before [s]
-_TOUCHING, _EARLY, _SHORTEST = 0.025, 0.12, 0.2
+_TOUCHING, _EARLY, _SHORTEST = 0.01, 0.12, 0.2
 # error of the divergent component from which a plan follows fast [m]
 _LARGE = 0.15
 # vertical force on a foot from which it is loaded, if the estimate is the truth [N]
@@ -96,6 +96,8 @@ class PlannedReference(SeededTransform):
     Raises:
         ConfigurationError: `follow` is not between 0 and 1.
     """
+
+    needs_env = "plans go on from those of the step before"
 
     def __init__(
         self,

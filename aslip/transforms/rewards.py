@@ -1,8 +1,8 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and six of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and seven of our own.
 
 Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
-the largest force on a foot, and friction that the feet spend against each other; and the place of
-one foot relative to the other. Every term is
+the largest force on a foot, and friction that the feet spend against each other; the place of
+one foot relative to the other; and the commanded speed. Every term is
 :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper; the
 public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
 
@@ -61,15 +61,16 @@ are new."""
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
         "com_vel": 0.08,
-        "foot_pos": 0.12,
-        "path_diff": 0.1,
+        "foot_pos": 0.1,
+        "path_diff": 0.07,
         "heading_diff": 0.1,
         "foot_orient": 0.05,
         "action_diff": 0.05,
-        "power": 0.08,
-        "landing": 0.12,
+        "power": 0.06,
+        "landing": 0.09,
         "squeeze": 0.05,
-        "feet_apart": 0.25,
+        "feet_apart": 0.2,
+        "speed_diff": 0.15,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -302,3 +303,17 @@ def feet_apart(
     """
     apart = left_foot_position - right_foot_position
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
+
+
+def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:
+    r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the command.
+
+    A plan follows the robot, so that one which is slower than commanded would not lose reward by
+    the other terms. Ours.
+
+    Args:
+        pelvis_velocity: (*b, 3) [m/s, heading frame].
+        command: (*b, 3) forward and sideways speed [m/s]; the yaw rate is ignored.
+        scale: difference s at which the term is 1/e [m/s].
+    """
+    return torch.exp(-_norm(pelvis_velocity[..., :2] - command[..., :2]) / scale)

@@ -99,7 +99,7 @@ def test_a_frame_names_time_command_and_push(library: GaitLibrary) -> None:
 def test_the_model_is_beside_the_robot_in_the_picture(camera: str) -> None:
     """The model is on the left, as far from the middle of the picture as the robot on the right."""
     usual = load_model()
-    model, offset = camera_beside(camera)
+    model, offset = camera_beside(camera, load_model())
     index = usual.camera(camera).id
     right, _, back = usual.cam_mat0[index].reshape(3, 3).T
     assert offset @ right < -0.8

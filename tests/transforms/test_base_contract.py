@@ -15,6 +15,7 @@ from torchrl.envs.utils import check_env_specs
 import aslip
 from aslip import transforms
 from aslip.envs import StackEnv, default_stack, directions_stack, insert_before
+from aslip.envs.directions import course_stack, planned_stack
 from aslip.library import GaitLibrary
 from aslip.sim.course import stairs
 from aslip.transforms import SeededTransform
@@ -66,6 +67,13 @@ def make_standing_env() -> StackEnv:
     return aslip.make_env(stack=stack, num_envs=NUM, seed=0, num_threads=1, replace=replace)
 
 
+def make_planned_env() -> StackEnv:
+    """Robots with planned footsteps on courses."""
+    stack = course_stack(planned_stack(standing_library()), [stairs(0.05)])
+    stack = insert_before(stack, "reference", footsteps=transforms.RandomFootsteps())
+    return aslip.make_env(stack=stack, num_envs=NUM, seed=0, num_threads=1)
+
+
 @pytest.fixture(scope="module")
 def env() -> Iterator[StackEnv]:
     env = make_env()
@@ -76,9 +84,10 @@ def env() -> Iterator[StackEnv]:
 @pytest.fixture(scope="module")
 def envs(env: StackEnv) -> Iterator[list[StackEnv]]:
     """Environments that have every public class together."""
-    standing = make_standing_env()
-    yield [env, standing]
-    standing.close()
+    more = [make_standing_env(), make_planned_env()]
+    yield [env, *more]
+    for one in more:
+        one.close()
 
 
 Parts = Callable[[type[SeededTransform]], tuple[SeededTransform, TensorDictBase]]

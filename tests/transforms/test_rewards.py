@@ -187,9 +187,12 @@ def test_scales_of_terms_are_arguments() -> None:
     orientation, heading = torch.tensor([[1.0, 0, 0, 0]]), torch.tensor([[0.05]])
     found = rewards.heading_diff(orientation, heading, scale=0.1 / 3)
     torch.testing.assert_close(found, rewards.heading_diff(orientation, heading) ** 3)
+    one = torch.ones(1, 3)
     cases: list[tuple[Any, float, list[torch.Tensor]]] = [
         (rewards.power, 0.4, [torch.full((1, 10), 20.0), torch.zeros(1, 3)]),
         (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
+        (rewards.feet_apart, 0.05, [one + 0.03, one, one, one]),
+        (rewards.speed_diff, 0.3, [one, 1.2 * one]),
         (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
     ]
     for term, scale, seen in cases:
