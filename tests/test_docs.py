@@ -45,7 +45,12 @@ _FOREIGN = {"pip", "ray", "rerun", "plotjuggler", "ruff", "pyright"} | {
     "tensorboard", "wandb", "mlflow",
 }  # fmt: skip
 # recipes that have presets
-_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ablate": "TASKS"}
+_PRESETS_OF = {
+    "recipes.ppo_aslip": "PRESETS",
+    "recipes.ppo_directions": "DIRECTION_PRESETS",
+    "recipes.stepping_stones": "PRESETS",
+    "recipes.ablate": "TASKS",
+}
 
 
 # ------------------------------------------------------------------------- pages
@@ -229,9 +234,7 @@ def _settings(module: str) -> Any:
     """Class of the settings of a recipe or benchmark."""
     for name in (module, f"{module}.__main__", f"{module}.config"):
         with contextlib.suppress(ModuleNotFoundError, AttributeError):
-            # this recipe also has the settings that it extends
-            own = "DirectionConfig" if name == "recipes.ppo_directions" else "Config"
-            return getattr(importlib.import_module(name), own)
+            return importlib.import_module(name).Config
     raise AssertionError(f"{module} has no settings")
 
 
