@@ -263,31 +263,30 @@ class PlannedReference(SeededTransform):
     def _motors(self, later: Any, around: tuple[Any, Any]) -> dict[str, Tensor]:
         """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it."""
         before, after = around
-        turning = (after.foot_heading - before.foot_heading) / (2 * _NEAR)
-        (_, slow), (angle, velocity), (_, fast) = (
-            self._motion(sample, turning) for sample in (before, later, after)
+        samples = before, later, after
+        yaw, rate = (
+            torch.stack(values)[..., None]
+            for values in zip(*((s.heading.angle, s.heading.rate) for s in samples), strict=True)
         )
+        places = [_feet(sample) for sample in samples]
+        position, heading = (torch.stack(values) for values in zip(*places, strict=True))
+        x, y, _ = position.unbind(-1)
+        moves = [sample.feet.velocity - sample.body.velocity[:, None] for sample in samples]
+        turning = (after.foot_heading - before.foot_heading) / (2 * _NEAR)
+        around_z = torch.stack([rate * y, -rate * x, 0 * x, turning - rate], -1)
+        moved = around_z + torch.nn.functional.pad(_turned(torch.stack(moves), -yaw), (0, 1))
+        angle, by_target = self.legs.motors(position, heading)
+        slow, velocity, fast = (by_target @ moved[..., None])[..., 0].flatten(-2)
         # a motor that gets to a limit or leaves it between them has no acceleration
         free = (slow != 0) & (fast != 0)
         acceleration = torch.where(free, (fast - slow) / (2 * _NEAR), 0.0)
-        force = _turned(later.ground_force, -later.heading.angle[:, None])
+        force = _turned(later.ground_force, -yaw[1])
         pendulum = self.planner.program.pendulum
         weight = force.new_tensor([0.0, 0.0, pendulum.gravity])
         pushed = force.sum(1) / pendulum.mass - weight
-        torque = self.legs.torque(*_feet(later), force)
-        torque = torque + self.legs.inertial_torque(angle, velocity, acceleration, pushed)
-        return dict(zip(_MOTORS, (angle, velocity, torque), strict=True))
-
-    def _motion(self, sample: Any, turning: Tensor) -> tuple[Tensor, Tensor]:
-        """Motor angles and velocities (n, 10) of a sample whose toes turn at rates (n, 2)."""
-        yaw, rate = (one[:, None] for one in (sample.heading.angle, sample.heading.rate))
-        position, heading = _feet(sample)
-        x, y, _ = position.unbind(-1)
-        velocity = _turned(sample.feet.velocity - sample.body.velocity[:, None], -yaw)
-        velocity = velocity + torch.stack([rate * y, -rate * x, torch.zeros_like(x)], -1)
-        angle, by_target = self.legs.motors(position, heading)
-        moves = torch.cat([velocity, (turning - rate)[..., None]], -1)[..., None]
-        return angle, (by_target @ moves)[..., 0].flatten(-2)
+        torque = self.legs.torque(*places[1], force)
+        torque = torque + self.legs.inertial_torque(angle[1], velocity, acceleration, pushed)
+        return dict(zip(_MOTORS, (angle[1], velocity, torque), strict=True))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and target, and the plan."""
@@ -432,5 +431,5 @@ def _feet(sample: Any) -> tuple[Tensor, Tensor]:
 
 
 def _turned(vector: Tensor, yaw: Tensor) -> Tensor:
-    """Vectors (n, 2, 3) of the feet, turned by (n, 1) [rad]."""
-    return rotate_about_vertical(vector, yaw[:, None].expand(*vector.shape[:-1], 1))
+    """Vectors (*b, 2, 3) of the feet, turned by (*b, 1) [rad]."""
+    return rotate_about_vertical(vector, yaw[..., None].expand(*vector.shape[:-1], 1))
