@@ -23,6 +23,7 @@ from numpy.polynomial import Chebyshev
 from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.errors import ConfigurationError
 from aslip.estimation.legs import Chain, leg_chains
+from aslip.ik.inertia import Masses, inertial_torque, leg_masses, polynomials
 from aslip.robot import CASSIE, SIDES, Robot
 from aslip.robot.rotation import quaternion_to_matrix
 
@@ -54,8 +55,11 @@ class LegTable:
 
     def __init__(self, robot: Robot = CASSIE) -> None:
         legs = [_leg(robot, *leg) for leg in zip(SIDES, leg_chains(robot), strict=True)]
-        self._numbers = _Leg(*(np.stack(values) for values in zip(*legs, strict=True)))
-        self._placed: dict[Any, _Leg] = {}
+        self._numbers = [
+            kind(*(np.stack(values) for values in zip(*parts, strict=True)))
+            for kind, parts in zip((_Leg, Masses), zip(*legs, strict=True), strict=True)
+        ]
+        self._placed: dict[Any, tuple[_Leg, Masses]] = {}
 
     def motors(self, position: Array, heading: Array) -> tuple[Array, Array]:
         """Motor angles for feet relative to the pelvis.
@@ -69,7 +73,7 @@ class LegTable:
             (*b, 10) motor angles [rad], motor order, within the joint limits, and (*b, 2, 5, 4)
             derivatives of each leg's by x, y, z and heading, zero for angles at a limit.
         """
-        leg = self._like(position)
+        leg, _ = self._like(position)
         pose = _pose(leg, position, heading)
         inside = (pose.angle > leg.lower) & (pose.angle < leg.upper)
         jacobian = _jacobian(pose, heading) * inside[..., None]
@@ -87,19 +91,36 @@ class LegTable:
         Returns:
             (*b, 10) torques at the joints [N m], motor order.
         """
-        leg = self._like(position)
+        leg, _ = self._like(position)
         torque = _torque(leg, _pose(leg, position, heading), force)
         return torque.reshape(*torque.shape[:-2], 10)
 
-    def _like(self, array: Array) -> _Leg:
+    def inertial_torque(
+        self, angle: Array, velocity: Array, acceleration: Array, pelvis_acceleration: Array
+    ) -> Array:
+        """Motor torques that carry and accelerate the legs, as `leg_torque`'s.
+
+        Args:
+            angle: (*b, 10) motor angles [rad], motor order.
+            velocity: (*b, 10) their rates [rad/s].
+            acceleration: (*b, 10) accelerations [rad/s^2].
+            pelvis_acceleration: (*b, 3) of a level pelvis that does not turn, in its own axes
+                [m/s^2].
+
+        Returns:
+            (*b, 10) torques at the joints [N m], motor order.
+        """
+        _, masses = self._like(angle)
+        motion = (x.reshape(*x.shape[:-1], 2, 5) for x in (angle, velocity, acceleration))
+        torque = inertial_torque(masses, *motion, pelvis_acceleration[..., None, :])
+        return torque.reshape(*torque.shape[:-2], 10)
+
+    def _like(self, array: Array) -> tuple[_Leg, Masses]:
         """Constants as arrays of the kind of another."""
         key = array.dtype, None if is_numpy(array) else array.device
         if key not in self._placed:
-            made = (x.astype(array.dtype) for x in self._numbers)
-            if not is_numpy(array):
-                xp = namespace(array)
-                made = (xp.tensor(x, dtype=key[0], device=key[1]) for x in self._numbers)
-            self._placed[key] = _Leg(*made)
+            leg, masses = (type(part)(*(_placed(x, array) for x in part)) for part in self._numbers)
+            self._placed[key] = leg, masses
         return self._placed[key]
 
 
@@ -168,7 +189,7 @@ def _pose(leg: _Leg, position: Array, heading: Array) -> _Pose:
     foot = leg.drop - target[2] + 1j * target[0] - sole
     wish = foot.real**2 + foot.imag**2
     squared = wish.clip(leg.reach[..., 0], leg.reach[..., 1])
-    table = _values(leg, squared)
+    table = polynomials(leg.reach, leg.table, squared)
     knee, direction, tarsus = (table[..., i] for i in range(3))
     pitch = xp.angle(foot) - direction
     angles = [*wanted, pitch, knee, xp.angle(toes) - pitch - tarsus]
@@ -202,15 +223,6 @@ def _hips(
     sine = (d + x * xp.sin(yaw)) / (xp.cos(yaw) * (y**2 + z**2) ** 0.5)
     roll = xp.arctan2(y, -z) - xp.arcsin(sine.clip(-_ALMOST_ONE, _ALMOST_ONE))
     return (roll, wish), (roll.clip(low[..., 0], high[..., 0]), yaw)
-
-
-def _values(leg: _Leg, squared: Array) -> Array:
-    """(*b, 2, 6) values of the polynomials at squared distances (*b, 2)."""
-    xp, (low, high) = namespace(squared), (leg.reach[..., 0], leg.reach[..., 1])
-    variable = (2 * squared - low - high) / (high - low)
-    angle = xp.arccos(variable.clip(-_ALMOST_ONE, _ALMOST_ONE))
-    order = xp.arange(DEGREE + 1, dtype=squared.dtype, device=squared.device)
-    return xp.einsum("...sk,skj->...sj", xp.cos(angle[..., None] * order), leg.table)
 
 
 def _jacobian(pose: _Pose, heading: Array) -> Array:
@@ -265,7 +277,16 @@ def _torque(leg: _Leg, pose: _Pose, force: Array) -> Array:
     return xp.stack(moments, -1)
 
 
-def _leg(robot: Robot, side: str, chain: Chain) -> _Leg:
+def _placed(number: np.ndarray, like: Array) -> Array:
+    """Constants as an array of the kind of another, complex ones of the same precision."""
+    if np.iscomplexobj(number):
+        return _placed(number.real, like) + 1j * _placed(number.imag, like)
+    if is_numpy(like):
+        return number.astype(like.dtype)
+    return namespace(like).tensor(number, dtype=like.dtype, device=like.device)
+
+
+def _leg(robot: Robot, side: str, chain: Chain) -> tuple[_Leg, Masses]:
     """Constants of one leg.
 
     Raises:
@@ -287,24 +308,27 @@ def _leg(robot: Robot, side: str, chain: Chain) -> _Leg:
     centre = complex(*site.position[:2]) / direction
     motors = [name for name in robot.motor_names if name.startswith(side)]
     limits = np.array([skeleton.joints[name].range for name in motors])
-    reach, table = _planar(chain, limits[3], np.array(skeleton.joints[f"{side}_tarsus"].range))
+    tarsi = np.array(skeleton.joints[f"{side}_tarsus"].range)
+    (reach, table), bends = _planar(chain, limits[3], tarsi)
     ankle = -np.angle(direction) - chain.offset[4]
     _, back, drop = chain.hip_position[:, 2]
-    return _Leg(
+    zero = np.array([*chain.hip_zero, -chain.offset[0], 0.0, ankle])
+    leg = _Leg(
         hip=chain.hip_position[0] + (back, 0.0, 0.0),
         depth=-chain.depth.mean(),
         drop=drop,
         sole=np.array([centre.real, centre.imag]),
-        zero=np.array([*chain.hip_zero, -chain.offset[0], 0.0, ankle]),
+        zero=zero,
         lower=limits[:, 0],
         upper=limits[:, 1],
         reach=reach,
         table=table,
     )
+    return leg, leg_masses(robot, side, zero, *bends)
 
 
-def _planar(chain: Chain, knees: np.ndarray, tarsi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`_Leg.reach` and `_Leg.table` for limits of knee and tarsus [rad]."""
+def _planar(chain: Chain, knees: np.ndarray, tarsi: np.ndarray) -> list[tuple[Any, np.ndarray]]:
+    """Domains and polynomials of `_Leg` and `Masses`, for limits of knee and tarsus [rad]."""
     knee = np.linspace(knees[0], knees[1], 2001)
     first, shin, spring, last = chain.links
     elbow = first + _unit(knee + chain.offset[1]) * (shin + _unit(chain.offset[2]) * spring)
@@ -317,12 +341,17 @@ def _planar(chain: Chain, knees: np.ndarray, tarsi: np.ndarray) -> tuple[np.ndar
     tarsus = turn - knee - chain.offset[1:4].sum()
     foot = elbow + _unit(turn) * last
     good = (abs(cosine) < 1) & (tarsi[0] <= tarsus) & (tarsus <= tarsi[1])
-    squared = abs(foot[good]) ** 2
-    reach = np.array([squared.min(), squared.max()])
-    values = np.stack([knee, np.unwrap(np.angle(foot)), turn], -1)[good]
-    fits = [Chebyshev.fit(squared, column, DEGREE, domain=reach) for column in values.T]
-    slopes = [np.append(fit.deriv().coef, 0.0) for fit in fits]
-    return reach, np.stack([*(fit.coef for fit in fits), *slopes], -1)
+    squared, direction = abs(foot[good]) ** 2, np.unwrap(np.angle(foot[good]))
+    rod = np.unwrap(np.angle(elbow + _unit(turn) * tip)[good])
+    knee, turn = knee[good], turn[good]
+    found = []
+    for variable, values in ((squared, (knee, direction, turn)), (knee, (turn, rod))):
+        domain = np.array([variable.min(), variable.max()])
+        fits = [Chebyshev.fit(variable, value, DEGREE, domain=domain) for value in values]
+        orders = range(6 // len(fits))
+        columns = [np.append(fit.deriv(k).coef, np.zeros(k)) for k in orders for fit in fits]
+        found.append((domain, np.stack(columns, -1)))
+    return found
 
 
 def _unit(angle: Any) -> Any:

@@ -32,7 +32,7 @@ def skeleton_of(model: mujoco.MjModel) -> Skeleton:
     return Skeleton(
         num_qpos=int(model.nq),
         num_qvel=int(model.nv),
-        bodies={b.name: Body(int(b.id), _vector(b.pos), _vector(b.quat)) for b in bodies},
+        bodies={b.name: _body(b, bodies[b.parentid[0]].name) for b in bodies},
         joints={joint.name: _joint(model, joint) for joint in joints},
         sites={
             s.name: Site(int(s.id), bodies[s.bodyid[0]].name, _vector(s.pos), _vector(s.quat))
@@ -54,6 +54,19 @@ def skeleton_of(model: mujoco.MjModel) -> Skeleton:
     )
 
 
+def _body(body: Any, parent: str) -> Body:
+    return Body(
+        index=int(body.id),
+        parent=parent,
+        position=_vector(body.pos),
+        quaternion=_vector(body.quat),
+        mass=float(body.mass[0]),
+        centre=_vector(body.ipos),
+        axes=_vector(body.iquat),
+        inertia=_vector(body.inertia),
+    )
+
+
 def _joint(model: mujoco.MjModel, joint: Any) -> Joint:
     kind = _KINDS[int(joint.type[0])]
     return Joint(
@@ -63,6 +76,7 @@ def _joint(model: mujoco.MjModel, joint: Any) -> Joint:
         qvel=int(joint.dofadr[0]),
         zero=float(model.qpos0[joint.qposadr[0]]) if kind in ("slide", "hinge") else 0.0,
         stiffness=float(joint.stiffness[0]),
+        armature=float(joint.armature[0]),
         range=_vector(joint.range) if joint.limited[0] else (),
     )
 

@@ -21,8 +21,17 @@ class Body(NamedTuple):
     """Rigid body."""
 
     index: int
+    parent: str
     position: Vector
     quaternion: Vector
+    mass: float
+    """[kg]."""
+    centre: Vector
+    """Centre of mass [m]."""
+    axes: Vector
+    """Orientation of the principal axes."""
+    inertia: Vector
+    """Moments of inertia about them [kg m^2]."""
 
 
 class Joint(NamedTuple):
@@ -37,6 +46,8 @@ class Joint(NamedTuple):
     """Position at the configuration in which the MJCF defines the bodies [rad]."""
     stiffness: float
     """Stiffness of its spring [N m/rad]."""
+    armature: float
+    """Reflected inertia of its motor [kg m^2]."""
     range: Vector
     """Least and greatest position [rad, m]; empty without limits."""
 

@@ -53,6 +53,8 @@ _LARGE = 0.15
 _LOADED = 50.0
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
 _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
+# time between samples of a plan whose differences are accelerations [s]
+_NEAR = 0.005
 # height of the body above the ground in the library's gaits [m]
 _HEIGHT = 0.875
 
@@ -195,9 +197,9 @@ class PlannedReference(SeededTransform):
         shift = state.body_position[:, :2].clone()
         aim = None if aim is None else aim - shift
         moved = state.seen_from(shift, 0 * shift[:, 0])
-        now, later, plan = self._planned(into, moved, shift, aim)
+        now, later, around, plan = self._planned(into, moved, shift, aim)
         turn = later.heading.angle
-        reference = _entries_of(now, 0 * turn) | self._motors(now, later)
+        reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)
         if self._stands:
             command, phase = (cast("Tensor", into[key]) for key in (self._command_key, "phase"))
@@ -218,8 +220,8 @@ class PlannedReference(SeededTransform):
 
     def _planned(
         self, found: TensorDictBase, state: WalkState, shift: Tensor, aim: Tensor | None
-    ) -> tuple[Any, Any, dict[str, Tensor]]:
-        """`PlanSample`s of tensors, now and a policy step later, and the entries of the plan."""
+    ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
+        """`PlanSample`s of tensors now, a step later and around that, and the plan's entries."""
         command = cast("Tensor", found[self._command_key])
         footsteps = found.get(("footsteps", "shift"), None)
         free = {} if footsteps is None else {"shift": footsteps}
@@ -239,7 +241,7 @@ class PlannedReference(SeededTransform):
 
     def _sampled(
         self, state: WalkState, command: Tensor, given: Mapping[str, Any]
-    ) -> tuple[Any, Any, dict[str, Tensor]]:
+    ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
         """Plan, and what `_planned` returns."""
         # single precision loses the time of the touchdown, of which costs hardly depend
         convert = _to_numpy if isinstance(self.planner, Planner) else _to_double
@@ -247,36 +249,46 @@ class PlannedReference(SeededTransform):
         if "stones" in given:
             given = {**given, "stones": Stones.from_corners(*given["stones"])}
         plan = cast("Any", self.planner).plan(state, command, **given)
-        period = 0 * command[:, 0] + CASSIE.policy_period
-        now, later = (plan.sample(time) for time in (0 * period, period))
+        zero = 0 * command[:, 0]
+        now, later, *around = (
+            plan.sample(zero + CASSIE.policy_period + shift)
+            for shift in (-CASSIE.policy_period, 0.0, -_NEAR, _NEAR)
+        )
         written = {
             "state": later.state().to_rows(),
             "foothold": plan.foothold[:, 0],
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
         }
-        return _mapped(_to_single, (now, later, written))
+        return _mapped(_to_single, (now, later, tuple(around), written))
 
-    def _motors(self, now: Any, later: Any) -> dict[str, Tensor]:
-        """Motor angles, velocities and torques of a sample a policy step later."""
-        yaw, rate = (one[:, None] for one in (later.heading.angle, later.heading.rate))
-        position, velocity, force = (
-            _turned(vector, -yaw)
-            for vector in (
-                later.feet.position - later.body.position[:, None],
-                later.feet.velocity - later.body.velocity[:, None],
-                later.ground_force,
-            )
+    def _motors(self, later: Any, around: tuple[Any, Any]) -> dict[str, Tensor]:
+        """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it."""
+        before, after = around
+        samples = before, later, after
+        yaw, rate = (
+            torch.stack(values)[..., None]
+            for values in zip(*((s.heading.angle, s.heading.rate) for s in samples), strict=True)
         )
+        places = [_feet(sample) for sample in samples]
+        position, heading = (torch.stack(values) for values in zip(*places, strict=True))
         x, y, _ = position.unbind(-1)
-        velocity = velocity + torch.stack([rate * y, -rate * x, torch.zeros_like(x)], -1)
-        heading = later.foot_heading - yaw
-        turning = (later.foot_heading - now.foot_heading) / CASSIE.policy_period - rate
+        moves = [sample.feet.velocity - sample.body.velocity[:, None] for sample in samples]
+        turning = (after.foot_heading - before.foot_heading) / (2 * _NEAR)
+        around_z = torch.stack([rate * y, -rate * x, 0 * x, turning - rate], -1)
+        moved = around_z + torch.nn.functional.pad(_turned(torch.stack(moves), -yaw), (0, 1))
         angle, by_target = self.legs.motors(position, heading)
-        moves = torch.cat([velocity, turning[..., None]], -1)[..., None]
-        torque = self.legs.torque(position, heading, force)
-        motors = (angle, (by_target @ moves)[..., 0].flatten(-2), torque)
-        return dict(zip(_MOTORS, motors, strict=True))
+        slow, velocity, fast = (by_target @ moved[..., None])[..., 0].flatten(-2)
+        # a motor that gets to a limit or leaves it between them has no acceleration
+        free = (slow != 0) & (fast != 0)
+        acceleration = torch.where(free, (fast - slow) / (2 * _NEAR), 0.0)
+        force = _turned(later.ground_force, -yaw[1])
+        pendulum = self.planner.program.pendulum
+        weight = force.new_tensor([0.0, 0.0, pendulum.gravity])
+        pushed = force.sum(1) / pendulum.mass - weight
+        torque = self.legs.torque(*places[1], force)
+        torque = torque + self.legs.inertial_torque(angle[1], velocity, acceleration, pushed)
+        return dict(zip(_MOTORS, (angle[1], velocity, torque), strict=True))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and target, and the plan."""
@@ -413,6 +425,13 @@ def _chosen(mask: Tensor, one: Any, other: Any) -> Any:
     return torch.where(mask.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
+def _feet(sample: Any) -> tuple[Tensor, Tensor]:
+    """Places (n, 2, 3) [m] and headings (n, 2) [rad] of the feet, from the pelvis."""
+    yaw = sample.heading.angle[:, None]
+    position = sample.feet.position - sample.body.position[:, None]
+    return _turned(position, -yaw), sample.foot_heading - yaw
+
+
 def _turned(vector: Tensor, yaw: Tensor) -> Tensor:
-    """Vectors (n, 2, 3) of the feet, turned by (n, 1) [rad]."""
-    return rotate_about_vertical(vector, yaw[:, None].expand(*vector.shape[:-1], 1))
+    """Vectors (*b, 2, 3) of the feet, turned by (*b, 1) [rad]."""
+    return rotate_about_vertical(vector, yaw[..., None].expand(*vector.shape[:-1], 1))

@@ -6,12 +6,13 @@ import torch
 
 from aslip.errors import ConfigurationError
 from aslip.estimation.legs import leg_chains
-from aslip.ik import Kinematics, LegTable, static_torque
+from aslip.ik import BodyTarget, Kinematics, LegTable, leg_torque, pelvis_axes, solve, static_torque
 from aslip.ik.legs import _leg
 from aslip.ik.solve import newton
 from aslip.ik.target import FootMotion
 from aslip.robot import CASSIE
 
+SIDEWAYS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])
 MIRROR = np.array([-1.0, -1.0, 1.0, 1.0, 1.0])
 
 
@@ -72,11 +73,51 @@ def test_torques_balance_the_forces(kinematics, table, targets, poses):
     np.testing.assert_allclose(torque[good], expected.reshape(200, 2, 5)[good], atol=0.02)
 
 
+def test_inertial_torques_are_those_of_inverse_dynamics(kinematics, table):
+    """Feet swing below a pelvis that is pushed; the weight of the body that rolls is left out."""
+    random, step, n = np.random.default_rng(2), 1e-3, 40
+    centre = random.uniform((-0.15, 0.08, -0.82), (0.15, 0.25, -0.72), (n, 2, 3)) * SIDEWAYS
+    size, toes = random.uniform(0, [0.2, 0.05, 0.08], (n, 2, 3)), random.uniform(-0.3, 0.3, (n, 2))
+    rate, start, push = (
+        random.uniform(-k, k, (n, *s)) for k, s in ((15, (2, 1)), (3, (2, 3)), (4, (3,)))
+    )
+
+    def motion(time):
+        turn, still = toes * np.cos(rate[..., 0] * time), np.zeros((n, 2))
+        spin = -toes * rate[..., 0] * np.sin(rate[..., 0] * time)
+        upright = np.stack([np.cos(turn / 2), still, still, np.sin(turn / 2)], -1)
+        place = centre + size * np.sin(rate * time + start) + push[:, None] * time**2 / 2
+        speed = size * rate * np.cos(rate * time + start) + push[:, None] * time
+        parts = place, upright, speed, np.stack([still, still, spin], -1)
+        feet = (BodyTarget(*(part[:, i] for part in parts)) for i in range(2))
+        found = solve(kinematics, BodyTarget(push * time**2 / 2, velocity=push * time), *feet)
+        return found.qpos, pelvis_axes(kinematics, found.qpos, found.qvel)
+
+    (_, slow), (qpos, velocity), (_, fast) = (motion(time) for time in (-step, 0.0, step))
+    acceleration = (fast - slow) / (2 * step)
+    expected = leg_torque(kinematics, qpos, velocity, acceleration)
+    assert (abs(expected).max(0) > [5, 2, 15, 15, 0.2] * 2).all()
+    indices = CASSIE.indices
+    motors = (x[:, indices.motor_qvel] for x in (velocity, acceleration))
+    torque = table.inertial_torque(qpos[:, indices.motor_qpos], *motors, push)
+    error = abs(torque - expected)
+    assert error.max() < 0.5
+    assert np.quantile(error, 0.95) < 0.3
+
+
 def test_tensors_of_any_batch_shape_equal_arrays(table, targets):
     given = [torch.tensor(x, dtype=torch.float32).reshape(4, 50, *x.shape[1:]) for x in targets]
-    motors, torque = table.motors(*given[:2]), table.torque(*given)
-    expected = *table.motors(*targets[:2]), table.torque(*targets)
-    for got, array, size in zip((*motors, torque), expected, (1, 8, 800), strict=True):
+    found, expected = (
+        (
+            angle,
+            jacobian,
+            table.torque(*x),
+            table.inertial_torque(angle, angle, angle, x[2][..., 0, :]),
+        )
+        for x in (given, targets)
+        for angle, jacobian in [table.motors(*x[:2])]
+    )
+    for got, array, size in zip(found, expected, (1, 8, 800, 800), strict=True):
         assert got.dtype == torch.float32
         np.testing.assert_allclose(got.flatten(0, 1).numpy(), array, atol=5e-6 * size)
 

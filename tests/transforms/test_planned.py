@@ -19,6 +19,8 @@ from aslip.policy import load_policy
 from aslip.robot import SIDES
 from aslip.transforms import PlannedReference, RandomFootsteps, SeededTransform
 from aslip.transforms.base import extend_spec
+from aslip.transforms.planned import _feet, _turned, default_planner
+from aslip.transforms.rotation import rotate_about_vertical
 
 NUM = 6
 
@@ -71,6 +73,33 @@ def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
     # the frame turns with the body
     angle, _ = LegTable().motors(feet, toes - target["body_heading"])
     torch.testing.assert_close(walk["reference", "motor_position"], angle, rtol=0, atol=2e-5)
+
+
+def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
+    """They are those of differences of the motor angles, in feet that fly and stand."""
+    state = WalkState.from_rows(walk["plan", "state"][:, 9:15].flatten(0, 1).double())
+    planner = default_planner()
+    plan = planner.plan(state, torch.tensor([[0.5, 0.1, 0.3]]).double().expand(len(state.since), 3))
+    at, step, legs = 0.03 + 0 * state.since, 1e-3, LegTable()
+    samples = [plan.sample(at + k * step) for k in (-5, 5, -1, 1, 0)]
+    reference = PlannedReference(shipped_library("directions"), planner)
+    motors = reference._motors(samples[-1], (samples[0], samples[1]))
+    feet = [_feet(sample) for sample in samples]
+    before, after, angle = (legs.motors(*x)[0] for x in feet[2:])
+    velocity, acceleration = (after - before) / (2 * step), (after - 2 * angle + before) / step**2
+    force, turn = samples[-1].ground_force, samples[-1].heading.angle[:, None]
+    pendulum = planner.program.pendulum
+    push = rotate_about_vertical(force.sum(1) / pendulum.mass, -turn)
+    push[:, 2] -= pendulum.gravity
+    carried = legs.torque(*feet[-1], _turned(force, -turn))
+    expected = carried + legs.inertial_torque(angle, velocity, acceleration, push)
+    # not at touchdowns, and not where a fall changes the acceleration between the samples
+    smooth = (samples[0].stance == samples[1].stance) & (acceleration.abs().amax(1) < 100)
+    assert smooth.sum() > NUM
+    assert (expected - carried)[smooth].abs().amax() > 20
+    for name, value, error in (("torque", expected, 2.0), ("velocity", velocity, 0.2)):
+        found = motors[f"motor_{name}"]
+        torch.testing.assert_close(found[smooth], value[smooth], rtol=0, atol=error)
 
 
 def test_random_footsteps_displace_the_next_foothold() -> None:
