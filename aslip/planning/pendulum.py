@@ -18,6 +18,7 @@ the time of a touchdown a variable of a quadratic program (Khadiv et al. 2020).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from aslip.base.arrays import Array, namespace
@@ -25,6 +26,8 @@ from aslip.base.checks import TINY, check_number
 from aslip.rom.slip import SlipParameters
 
 _MODEL = SlipParameters()
+# share of a step at which the body of the library's gaits is highest
+_APEX = 0.63
 # duration that stands for none [s]
 _INSTANT = 1e-9
 
@@ -46,7 +49,10 @@ class Pendulum:
     step_time: float = 0.4
     """Nominal time between touchdowns [s], as in the library's gaits."""
     height: float = 0.9
-    """Height of the body above the footholds [m]."""
+    """Mean height of the body above the footholds [m]."""
+    bounce: float = 0.035
+    """Amplitude of the body's height within a step [m], as in the gaits of the library: highest in
+    single stance, and falling at touchdown. Without it feet land 0.06 s before their time."""
     mass: float = _MODEL.mass
     """Mass of the body [kg], for ground forces."""
     gravity: float = _MODEL.gravity
@@ -56,7 +62,20 @@ class Pendulum:
         """Check the constants."""
         for name in ("rate", "step_time", "height", "mass", "gravity"):
             check_number(name, getattr(self, name), TINY)
+        check_number("bounce", self.bounce, 0.0)
         check_number("double_stance", self.double_stance, TINY, 0.9 * self.step_time)
+
+    def bounced(self, since: Array, duration: Array) -> tuple[Array, Array, Array]:
+        """Height (*b,) above that of the pendulum [m], its rate [m/s] and acceleration [m/s^2].
+
+        Args:
+            since: (*b,) time since the last touchdown [s].
+            duration: (*b,) time from there to the next one [s].
+        """
+        xp, rate = namespace(since), 2 * math.pi / duration
+        angle = rate * since - 2 * math.pi * _APEX
+        height = self.bounce * xp.cos(angle)
+        return height, -self.bounce * rate * xp.sin(angle), -(rate**2) * height
 
     def shift(self, sign: int, duration: Array) -> Array:
         """Weight beta (*b,) of the shift of pressure in a component.

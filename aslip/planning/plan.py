@@ -11,6 +11,9 @@ from aslip.planning.state import WalkState, quintic, swing
 from aslip.planning.stones import Stones
 from aslip.rom.motion import Angle, Track
 
+# least force on the ground, as a share of the weight
+_LEAST_LOAD = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class PlanSample:
@@ -88,7 +91,8 @@ class Plan:
     cost: Array
     """(n,) cost of the plan."""
     body: tuple[Array, Array]
-    """Positions and velocities (n, N + 1, 3) of the body now and at the touchdowns [m, m/s]."""
+    """Positions and velocities (n, N + 1, 3) of the body now and at the touchdowns, its height
+    without the bounce of steps [m, m/s]."""
     pendulum: Pendulum
     """Model of the body's motion."""
     clearance: float
@@ -197,11 +201,14 @@ class Plan:
         up = quintic(
             (position[:, 2:], velocity[:, 2:], rest), (*ends, rest), step.landing, step.elapsed
         )
+        bounce = p.bounced(step.since + step.elapsed, step.since + step.landing)
+        up = [value + one[:, None] for value, one in zip(up, bounce, strict=True)]
         body = Track(*(xp.concatenate([a, b], -1) for a, b in zip(level, up, strict=False)))
         share = (step.elapsed / step.shift.clip(1e-9)).clip(0.0, 1.0)[:, None]
         lever = body.position - start - share * (step.stance - start)
-        level_force = p.mass * p.rate**2 * lever[:, :2]
-        return body, xp.concatenate([level_force, rest + p.mass * p.gravity], -1)
+        # feet do not pull, also where a short step would bounce faster than the body falls
+        load = (bounce[2] + p.gravity).clip(_LEAST_LOAD * p.gravity)[:, None]
+        return body, p.mass * xp.concatenate([p.rate**2 * lever[:, :2], rest + load], -1)
 
     def _feet(
         self, step: _Footstep, rows: Array, done: Array, side: Array
@@ -278,20 +285,24 @@ def _bodies(
     ends = program.bodies(problem, variable, steps)
     ends = (ends[0] + foothold[..., :2], ends[1])
     level = [xp.concatenate([a[:, None, :2], b], 1) for a, b in zip(begin, ends, strict=True)]
-    height = _heights(program.pendulum, state, foothold)
+    height = _heights(program.pendulum, state, foothold, program.later(problem, variable))
     position, velocity = (xp.concatenate(pair, -1) for pair in zip(level, height, strict=True))
     return position, velocity
 
 
-def _heights(p: Pendulum, state: WalkState, foothold: Array) -> tuple[Array, Array]:
-    """Heights and vertical velocities (n, N + 1, 1) of the body now and at the touchdowns."""
-    xp = namespace(foothold)
+def _heights(p: Pendulum, state: WalkState, foothold: Array, landing: Array) -> tuple[Array, Array]:
+    """Heights and vertical velocities (n, N + 1, 1) of the body now and at the touchdowns.
+
+    They are those without the bounce of steps; `landing` (n,) is the time until the next one.
+    """
+    xp, bounce = namespace(foothold), p.bounced(state.since, state.since + landing)
     stance = state.of_foot(state.foot_position, swing=False)
     under = xp.concatenate([xp.stack([state.lift_off, stance], 1), foothold], 1)[..., 2:]
     height = p.height + (under[:, 1:] + under[:, :-1]) / 2
     rise = (height[:, 1:] - height[:, :-1]) / p.step_time
     slope = xp.concatenate([(rise[:, 1:] + rise[:, :-1]) / 2, rise[:, -1:]], 1)
+    now = (state.body_position[:, 2] - bounce[0], state.body_velocity[:, 2] - bounce[1])
     return tuple(
-        xp.concatenate([now[:, None, 2:], later], 1)
-        for now, later in ((state.body_position, height[:, 1:]), (state.body_velocity, slope))
+        xp.concatenate([one[:, None, None], later], 1)
+        for one, later in zip(now, (height[:, 1:], slope), strict=True)
     )

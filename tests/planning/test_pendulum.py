@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
-from aslip.planning import Pendulum, Planner
+from aslip.planning import Pendulum, Planner, Program
 from benchmarks.planning.planner import random_case
 
 P = Pendulum()
@@ -32,7 +32,7 @@ def test_the_flow_solves_the_equation_of_motion(shift):
 
 def test_programs_predict_the_body_at_every_touchdown():
     """As the flow goes from touchdown to touchdown; for limits, up to a linearised time."""
-    planner, rng = Planner(), np.random.default_rng(0)
+    planner, rng = Planner(Program(Pendulum(bounce=0.0))), np.random.default_rng(0)
     for _ in range(5):
         case = random_case(planner.program, rng)
         problem = planner.program.problem(case.state, case.command)
@@ -50,6 +50,17 @@ def test_programs_predict_the_body_at_every_touchdown():
         )
         cost = planner.program.value(planner.program.cost(problem), variable, steps)
         assert plan.cost == pytest.approx(cost, abs=1e-9)
+
+
+def test_bodies_bounce_within_a_step():
+    """As high at both touchdowns, highest in single stance."""
+    since, time = np.linspace(0, 0.4, 401), np.full(401, 0.4)
+    height, rate, acceleration = P.bounced(since, time)
+    np.testing.assert_allclose(np.gradient(height, since)[1:-1], rate[1:-1], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(rate, since)[1:-1], acceleration[1:-1], atol=2e-2)
+    assert height[0] == pytest.approx(height[-1])
+    assert rate[-1] < -0.3
+    assert since[height.argmax()] == pytest.approx(0.25, abs=0.01)
 
 
 def test_constants_are_checked():

@@ -63,7 +63,11 @@ def test_velocities_are_derivatives_and_feet_rest_in_contact():
     lifted = sample.feet.position[..., 2].max(axis=0) - plan.foothold[..., 2].max()
     assert (lifted > -0.01).all()
     weight = sample.ground_force.sum(axis=1)[:, 2]
-    np.testing.assert_allclose(weight, plan.pendulum.mass * plan.pendulum.gravity)
+    # it carries the body on average of whole steps, and never pulls it down
+    whole = time >= plan.time[0, 0]
+    carried = plan.pendulum.mass * plan.pendulum.gravity
+    np.testing.assert_allclose(weight[whole].mean(), carried, rtol=1e-3)
+    assert weight.min() > 0
     assert not np.any(sample.ground_force[~sample.contact])
 
 
