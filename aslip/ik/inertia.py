@@ -15,6 +15,7 @@ Distances from the plane are constant, so the turns of roll and yaw need no othe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ def leg_masses(
     joints = [skeleton.joints[name] for name in robot.motor_names if name.startswith(side)]
     angle = np.array([skeleton.standing[joint.qpos] for joint in joints]) - zero
     bend = polynomials(knees, bends, angle[3])
-    mass, arm, left = _points(skeleton, side, _unit(_links(*angle[2:], *bend[:2])))
+    mass, arm, left = _points(skeleton, side, _unit(_links(list(angle[2:]), bend[0], bend[1])))
     return Masses(
         zero=zero,
         armature=np.array([joint.armature for joint in joints]),
@@ -146,10 +147,10 @@ def inertial_torque(
     tarsus, rod, *slopes = (polynomials(m.knees, m.bends, knee)[..., i] for i in range(6))
     v, a = ([rates[..., i] for i in range(5)] for rates in (velocity, acceleration))
     # all links turn with the pitch of their plane, which rolls about an axis that yaw turns
-    rate = (sin_y * v[0])[..., None] + _links(*v[2:], slopes[0] * v[3], slopes[1] * v[3])
-    bent = (slopes[i] * a[3] + slopes[i + 2] * v[3] ** 2 for i in range(2))
-    gain = (sin_y * a[0])[..., None] + _links(*a[2:], *bent)
-    unit = _unit(_links(pitch, knee, foot, tarsus, rod))
+    rate = (sin_y * v[0])[..., None] + _links(v[2:], slopes[0] * v[3], slopes[1] * v[3])
+    bent, swung = (slopes[i] * a[3] + slopes[i + 2] * v[3] ** 2 for i in range(2))
+    gain = (sin_y * a[0])[..., None] + _links(a[2:], bent, swung)
+    unit = _unit(_links((pitch, knee, foot), tarsus, rod))
     faster = (1j * gain - rate**2) * unit
     # rates of roll and yaw in the plane, and accelerations
     turn, turned = (cos_y * x[0] + 1j * x[1] for x in (v, a))
@@ -183,8 +184,9 @@ def polynomials(domain: Array, table: Array, value: Array) -> Array:
     return xp.einsum("...k,...kj->...j", xp.cos(angle[..., None] * order), table)
 
 
-def _links(pitch: Array, knee: Array, foot: Array, tarsus: Array, rod: Array) -> Array:
-    """(*b, 6) angles of the links, or their derivatives."""
+def _links(motors: Sequence[Array], tarsus: Array, rod: Array) -> Array:
+    """(*b, 6) angles of the links for those of hip pitch, knee and foot, or their derivatives."""
+    pitch, knee, foot = motors
     ankle = pitch + tarsus
     turns = [0 * pitch, pitch, pitch + knee, ankle, ankle + foot, pitch + rod]
     return namespace(pitch).stack(turns, -1)

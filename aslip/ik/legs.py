@@ -55,10 +55,8 @@ class LegTable:
 
     def __init__(self, robot: Robot = CASSIE) -> None:
         legs = [_leg(robot, *leg) for leg in zip(SIDES, leg_chains(robot), strict=True)]
-        self._numbers = [
-            kind(*(np.stack(values) for values in zip(*parts, strict=True)))
-            for kind, parts in zip((_Leg, Masses), zip(*legs, strict=True), strict=True)
-        ]
+        chains, masses = (zip(*both, strict=True) for both in zip(*legs, strict=True))
+        self._numbers = _Leg(*map(np.stack, chains)), Masses(*map(np.stack, masses))
         self._placed: dict[Any, tuple[_Leg, Masses]] = {}
 
     def motors(self, position: Array, heading: Array) -> tuple[Array, Array]:
@@ -111,16 +109,19 @@ class LegTable:
             (*b, 10) torques at the joints [N m], motor order.
         """
         _, masses = self._like(angle)
-        motion = (x.reshape(*x.shape[:-1], 2, 5) for x in (angle, velocity, acceleration))
-        torque = inertial_torque(masses, *motion, pelvis_acceleration[..., None, :])
+        angle, velocity, acceleration = (
+            x.reshape(*x.shape[:-1], 2, 5) for x in (angle, velocity, acceleration)
+        )
+        pelvis = pelvis_acceleration[..., None, :]
+        torque = inertial_torque(masses, angle, velocity, acceleration, pelvis)
         return torque.reshape(*torque.shape[:-2], 10)
 
     def _like(self, array: Array) -> tuple[_Leg, Masses]:
         """Constants as arrays of the kind of another."""
         key = array.dtype, None if is_numpy(array) else array.device
         if key not in self._placed:
-            leg, masses = (type(part)(*(_placed(x, array) for x in part)) for part in self._numbers)
-            self._placed[key] = leg, masses
+            leg, masses = ((_placed(x, array) for x in part) for part in self._numbers)
+            self._placed[key] = _Leg(*leg), Masses(*masses)
         return self._placed[key]
 
 

@@ -87,7 +87,8 @@ def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
     feet = [_feet(sample) for sample in samples]
     before, after, angle = (legs.motors(*x)[0] for x in feet[2:])
     velocity, acceleration = (after - before) / (2 * step), (after - 2 * angle + before) / step**2
-    force, turn = samples[-1].ground_force, samples[-1].heading.angle[:, None]
+    force: Any = samples[-1].ground_force
+    turn: Any = samples[-1].heading.angle[:, None]
     pendulum = planner.program.pendulum
     push = rotate_about_vertical(force.sum(1) / pendulum.mass, -turn)
     push[:, 2] -= pendulum.gravity
