@@ -16,15 +16,22 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.base.checks import check_number
-from aslip.estimation import FilterNoise, StateEstimator, Tracking
+from aslip.estimation import FilterNoise, StateEstimator
 from aslip.ik import LegTable
 from aslip.library import GaitLibrary, WalkMode
 from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, WalkState
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
 from aslip.transforms.estimate import ODOMETRY_SIZES, PATH_SIZES
-from aslip.transforms.path import wrap
-from aslip.transforms.plan_start import phase_of, start_state
+from aslip.transforms.plan_state import (
+    ODOMETRY,
+    contact_of,
+    frame_between,
+    landed,
+    phase_of,
+    recentred,
+    start_state,
+)
 from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -41,16 +48,10 @@ _VECTORS = (
     *(f"{side}_foot_{name}" for side in SIDES for name in ("position", "velocity")),
 )
 _HEADINGS = ("body_heading", *(f"{side}_foot_heading" for side in SIDES))
-_ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for side in SIDES))
 # read where they are
 _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
-# a foot lands before its time if it touches within this height of its foothold [m], this time
-# before the touchdown, and this time after the one before [s]
-_TOUCHING, _EARLY, _SHORTEST = 0.01, 0.12, 0.2
 # error of the divergent component from which a plan follows fast [m]
 _LARGE = 0.15
-# vertical force on a foot from which it is loaded, if the estimate is the truth [N]
-_LOADED = 50.0
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
 _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
 # time between samples of a plan whose differences are accelerations [s]
@@ -143,10 +144,10 @@ class PlannedReference(SeededTransform):
 
     def go_on(self, past: TensorDictBase, present: TensorDictBase) -> TensorDictBase:
         """Write the entries a policy step after `past`, see `begin`; in place."""
-        frame = _frame_between(past, present)
+        frame = frame_between(past, present)
         aim = cast("Tensor", past["plan", "foothold"])
         led = WalkState.from_rows(cast("Tensor", past["plan", "state"])).seen_from(*frame)
-        state = self._drawn(_landed(led, aim, past, present), present)
+        state = self._drawn(landed(led, aim, past, present), present)
         flies = (state.since > self.planner.program.pendulum.double_stance)[:, None]
         turned = rotate_about_vertical(
             aim - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
@@ -161,7 +162,7 @@ class PlannedReference(SeededTransform):
 
     def _started(self, found: TensorDictBase) -> WalkState:
         odometry = cast("TensorDictBase", found["odometry"])
-        pelvis, _, left, right = (cast("Tensor", odometry[name]) for name in _ODOMETRY)
+        pelvis, _, left, right = (cast("Tensor", odometry[name]) for name in ODOMETRY)
         ground = torch.minimum(left[:, 2:], right[:, 2:])
         phase, command = (cast("Tensor", found[key]) for key in ("phase", self._command_key))
         return start_state(self.library, phase, command, pelvis, ground)
@@ -169,8 +170,8 @@ class PlannedReference(SeededTransform):
     def _drawn(self, state: WalkState, found: TensorDictBase) -> WalkState:
         """State, drawn to the estimate: body along the ground, and the foot in stance."""
         odometry = cast("TensorDictBase", found["odometry"])
-        position, velocity, *feet = (cast("Tensor", odometry[name]) for name in _ODOMETRY)
-        contact = _contact(found)
+        position, velocity, *feet = (cast("Tensor", odometry[name]) for name in ODOMETRY)
+        contact = contact_of(found)
         stance = torch.arange(2, device=contact.device) == state.stance[:, None]
         share = torch.where(stance & contact, self.follow[1], 0.0)[..., None]
         foot = torch.lerp(state.foot_position, torch.stack(feet, 1), share)
@@ -216,7 +217,7 @@ class PlannedReference(SeededTransform):
             into.set("phase", phase)
         for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
             into.set(key, TensorDict(entries, into.batch_size))
-        return _recentred(into, shift)
+        return recentred(into, shift)
 
     def _planned(
         self, found: TensorDictBase, state: WalkState, shift: Tensor, aim: Tensor | None
@@ -313,73 +314,6 @@ def _entries_of(sample: Any, turn: Tensor) -> dict[str, Tensor]:
     headings = [sample.heading.angle[:, None], *sample.foot_heading.split(1, -1)]
     entries = dict(zip(_VECTORS, vectors, strict=True))
     return entries | {n: h - turn for n, h in zip(_HEADINGS, headings, strict=True)}
-
-
-def _recentred(into: TensorDictBase, shift: Tensor) -> TensorDictBase:
-    """Move the origin of the odometry along the ground by (n, 2) [m, heading frame]; in place."""
-    odometry = cast("TensorDictBase", into["odometry"])
-    level = torch.nn.functional.pad(shift, (0, 1))
-    moved = {n: v - level for n, v in odometry.items() if n.endswith("_position")}
-    moved["path_error"] = odometry["path_error"] - shift
-    turned = rotate_about_vertical(level, _heading(into))
-    return into.set("odometry", odometry.update(moved | {"origin": odometry["origin"] + turned}))
-
-
-def _frame_between(past: TensorDictBase, present: TensorDictBase) -> tuple[Tensor, Tensor]:
-    """Place (n, 2) [m] and yaw (n,) [rad] of the odometry's frame, seen from the one before."""
-    before, after = (cast("Tensor", td["odometry", "origin"]) for td in (past, present))
-    heading, turned = _heading(past), _heading(present)
-    moved = rotate_about_vertical(after - before, -heading)
-    return moved[:, :2], wrap(turned - heading)[:, 0]
-
-
-def _landed(
-    led: WalkState, foothold: Tensor, past: TensorDictBase, present: TensorDictBase
-) -> WalkState:
-    """State in which feet have landed that touch the ground a little before their time.
-
-    Args:
-        led: state to which the plan led.
-        foothold: (n, 3) where the foot in flight was going to, of which the height counts [m].
-        past: entries of the step before.
-        present: entries now.
-    """
-    odometry = cast("TensorDictBase", present["odometry"])
-    estimated = torch.stack([cast("Tensor", odometry[name]) for name in _ODOMETRY[2:]], 1)
-    swing = torch.arange(2, device=led.stance.device) != led.stance[:, None]
-    left = cast("Tensor", past["plan", "time"]) - CASSIE.policy_period
-    low = estimated[..., 2] < foothold[:, 2:] + _TOUCHING
-    soon = (left > 0) & (left < _EARLY) & (led.since[:, None] > _SHORTEST)
-    lands = swing & _contact(present) & low & soon
-    now = lands.any(-1)
-    rest = torch.where(lands[..., None], 0.0, 1.0)
-    stood = led.of_foot(led.foot_position, swing=False)
-    return replace(
-        led,
-        foot_position=torch.where(lands[..., None], estimated, led.foot_position),
-        foot_velocity=rest * led.foot_velocity,
-        foot_acceleration=rest * led.foot_acceleration,
-        lift_off=torch.where(now[:, None], stood, led.lift_off),
-        stance=torch.where(now, 1 - led.stance, led.stance),
-        since=torch.where(now, 0.0, led.since),
-    )
-
-
-def _heading(found: TensorDictBase) -> Tensor:
-    """(n, 1) yaw of the heading frame; robots without that entry have it in the estimator [rad]."""
-    heading = found.get("heading", None)
-    if heading is None:
-        memory = cast("Tensor", found["estimator", "memory"])
-        heading = Tracking.from_rows(memory).heading[:, None].float()
-    return heading
-
-
-def _contact(found: TensorDictBase) -> Tensor:
-    """(n, 2) bool, loaded feet; of robots whose estimate is the truth, by the true forces."""
-    contact = found.get(("estimator", "contact"), None)
-    if contact is None:
-        contact = cast("Tensor", found["truth", "ground_force"])[..., 2] > _LOADED
-    return contact
 
 
 def _spread(value: Any, rows: Tensor) -> Any:
