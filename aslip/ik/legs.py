@@ -179,7 +179,7 @@ def _pose(leg: _Leg, position: Array, heading: Array) -> _Pose:
     z = z.clip(None, -_LEAST_DEPTH)
     wanted, hips = _hips(leg, (x, y, z), heading)
     roll, yaw = hips
-    free = [turn == wish for turn, wish in zip(hips, wanted, strict=True)]
+    free = [turn == desired for turn, desired in zip(hips, wanted, strict=True)]
     cos_r, sin_r, cos_y, sin_y = xp.cos(roll), xp.sin(roll), xp.cos(yaw), xp.sin(yaw)
     across = y * cos_r + z * sin_r
     target = x * cos_y + across * sin_y, across * cos_y - x * sin_y, z * cos_r - y * sin_r
@@ -188,8 +188,8 @@ def _pose(leg: _Leg, position: Array, heading: Array) -> _Pose:
     toes = toes / abs(toes)
     sole = toes * (leg.sole[..., 0] + 1j * leg.sole[..., 1])
     foot = leg.drop - target[2] + 1j * target[0] - sole
-    wish = foot.real**2 + foot.imag**2
-    squared = wish.clip(leg.reach[..., 0], leg.reach[..., 1])
+    desired = foot.real**2 + foot.imag**2
+    squared = desired.clip(leg.reach[..., 0], leg.reach[..., 1])
     table = polynomials(leg.reach, leg.table, squared)
     knee, direction, tarsus = (table[..., i] for i in range(3))
     pitch = xp.angle(foot) - direction
@@ -202,7 +202,7 @@ def _pose(leg: _Leg, position: Array, heading: Array) -> _Pose:
         foot=foot,
         squared=squared,
         table=table,
-        free=(*free, squared == wish),
+        free=(*free, squared == desired),
         angle=xp.stack(angles, -1) + leg.zero,
     )
 
@@ -218,12 +218,12 @@ def _hips(
     root = (aside**2 + (1 + tangent**2) * (z**2 - d**2)) ** 0.5
     roll = xp.arctan((-aside * z - d * root) / (z**2 - d**2))
     roll = roll.clip(low[..., 0], high[..., 0])
-    wish = xp.arctan(xp.cos(roll) * tangent)
-    yaw = wish.clip(low[..., 1], high[..., 1])
+    desired = xp.arctan(xp.cos(roll) * tangent)
+    yaw = desired.clip(low[..., 1], high[..., 1])
     # the sole keeps its place where the yaw has a limit
     sine = (d + x * xp.sin(yaw)) / (xp.cos(yaw) * (y**2 + z**2) ** 0.5)
     roll = xp.arctan2(y, -z) - xp.arcsin(sine.clip(-_ALMOST_ONE, _ALMOST_ONE))
-    return (roll, wish), (roll.clip(low[..., 0], high[..., 0]), yaw)
+    return (roll, desired), (roll.clip(low[..., 0], high[..., 0]), yaw)
 
 
 def _jacobian(pose: _Pose, heading: Array) -> Array:
@@ -263,8 +263,8 @@ def _torque(leg: _Leg, pose: _Pose, force: Array) -> Array:
     ahead, left, up = (
         sum(row[i][..., 0] * force[..., i] for i in range(3)) for row in _rows(pose.turns)
     )
-    wish = pose.foot.real**2 + pose.foot.imag**2
-    foot = pose.foot * (pose.squared / wish) ** 0.5
+    desired = pose.foot.real**2 + pose.foot.imag**2
+    foot = pose.foot * (pose.squared / desired) ** 0.5
     centre = foot + pose.sole
     x, y, z = centre.imag, leg.depth, leg.drop - centre.real
     knee, direction, tarsus = (pose.table[..., i] for i in (3, 4, 5))

@@ -17,10 +17,8 @@ from aslip.errors import ShapeError
 from aslip.planning.plan import Plan
 from aslip.planning.program import Problem, Program, like
 from aslip.planning.state import WalkState
-from aslip.planning.stones import Stones
+from aslip.planning.stones import Stones, nearest
 
-# sweeps of projections onto the edges of a stone; one is exact on rectangles
-_PROJECTIONS = 2
 # times that time and footholds are improved on their stones
 _SWEEPS = 4
 # cost of a violated limit [1/m^2], and violation that is none [m]
@@ -72,12 +70,12 @@ class BatchPlanner:
         for k in range(program.steps):
             near = stones is None or k == 0
             # the motion that later stones need is not known yet: steps to them are the command's
-            wished = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
+            desired = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
             box = self._box(problem, steps, variable, of_body=near)
             if stones is None:
-                step = _clipped(wished if shift is None or k else wished + shift, *box)
+                step = _clipped(desired if shift is None or k else desired + shift, *box)
             else:
-                places = self._places(problem, stones, k, foothold, wished, box)
+                places = self._places(problem, stones, k, foothold, desired, box)
                 if k == 0 and aim is not None:
                     change = program.weights.change_of(stones, aim)
                     places = (*places[:2], places[2] + change / program.weights.step)
@@ -127,9 +125,9 @@ class BatchPlanner:
             move = np.eye(len(steps))[k] - np.eye(len(steps))[k + 1 : k + 2].sum(0)
             force = like(move @ matrix, slopes) @ xp.stack(steps, 1)
             force = force + (like(move, slopes)[:, None] * pull).sum(-2)
-            wished = steps[k] - force / (move @ matrix @ move).item()
+            desired = steps[k] - force / (move @ matrix @ move).item()
             box = self._box(problem, steps[:k], variable)
-            place = self._places(problem, standing.only(k), k, foothold, wished, box)[0][:, 0]
+            place = self._places(problem, standing.only(k), k, foothold, desired, box)[0][:, 0]
             if k + 1 < len(steps):
                 steps[k + 1] = steps[k + 1] + steps[k] - place
             steps[k] = place
@@ -186,22 +184,20 @@ class BatchPlanner:
         stones: Stones,
         k: int,
         foothold: Array,
-        wished: Array,
+        desired: Array,
         box: tuple[Array, Array, Array],
     ) -> tuple[Array, Array, Array]:
         """Nearest steps (n, m, 2) onto stones, their violations of the limits and costs (n, m)."""
         axes, low, high = box
-        xp, limits = namespace(wished), self.program.limits
+        xp, limits = namespace(desired), self.program.limits
         offsets = stones.shrunk(problem.heading[:, k : k + 1], limits.half_foot, limits.margin)
         offsets = offsets[:, 0] - (stones.normals * foothold[:, None, None]).sum(-1)
-        inside = _clipped(wished, *box)[:, None] + 0 * stones.centres
-        for edge in [*range(offsets.shape[-1])] * _PROJECTIONS:
-            normal = stones.normals[:, :, edge]
-            beyond = ((normal * inside).sum(-1) - offsets[..., edge]).clip(0.0)
-            inside = inside - beyond[..., None] * normal
+        inside = nearest(
+            _clipped(desired, *box)[:, None] + 0 * stones.centres, stones.normals, offsets
+        )
         local = xp.einsum("nij,nmj->nmi", axes, inside)
         beyond = (low[:, None] - local).clip(0.0) + (local - high[:, None]).clip(0.0)
-        return inside, (beyond**2).sum(-1), ((inside - wished[:, None]) ** 2).sum(-1)
+        return inside, (beyond**2).sum(-1), ((inside - desired[:, None]) ** 2).sum(-1)
 
     def _choose(
         self,
@@ -220,8 +216,8 @@ class BatchPlanner:
             late = self._arrival(problem, foothold[:, None] + inside) - problem.times[:, 2:]
             violation = violation + (self.program.limits.foot_speed * late.clip(0.0)) ** 2
         ahead = (inside * problem.ahead[:, None]).sum(-1)
-        wish = (problem.ahead**2).sum(-1)[:, None]
-        stay = weights.stay * ((ahead < wish / 2) & (wish > 0))
+        desired = (problem.ahead**2).sum(-1)[:, None]
+        stay = weights.stay * ((ahead < desired / 2) & (desired > 0))
         cost = weights.step * cost + stay + _VIOLATION * violation
         best = xp.where(stones.present, cost, 0 * cost + np.inf).argmin(-1)
         rows = xp.arange(len(best), device=cost.device)

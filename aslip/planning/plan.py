@@ -84,7 +84,7 @@ class Plan:
     stones: Array
     """(n, N) index of the stone of each foothold, -1 for the floor."""
     on_stones: Array
-    """(n,) number of first footholds that stones allow; N if all are as wished, or without stones.
+    """(n,) number of first footholds that stones allow; N if they allow all, or without stones.
     If 0, the next is the safest instead: as close to a stone as possible."""
     within_limits: Array
     """(n,) bool, False if no step keeps the limits of the robot, and the next one violates some."""
@@ -179,7 +179,7 @@ class Plan:
         )
 
     def _stood(self, rows: Array, done: Array) -> Array:
-        """Where the foot stands that landed at touchdown `done`, 0 for the last before now."""
+        """Place (m, 3) of the foot that landed at touchdown `done`; 0 is the last before now."""
         xp, s = namespace(done), self.state
         stance = s.of_foot(s.foot_position, swing=False)[rows]
         before = xp.where((done < 0)[:, None], s.lift_off[rows], stance)

@@ -245,14 +245,14 @@ class StoneSearch:
         start = np.concatenate([stance[None, :2], middle])[:, None]
         place = stones.nearest(start[None] + problem.ahead)[0][:, self.kept]
         ahead = (place - start) @ problem.ahead[0]
-        wished = problem.ahead[0] @ problem.ahead[0]
+        desired = problem.ahead[0] @ problem.ahead[0]
         # variances of the footholds, sums of the steps to them, where the cost is a density
         steps = np.linalg.inv(self._hessian)[1:, 1:].reshape(self._steps, 2, self._steps, 2)
         k = np.arange(self._steps)
         spread = steps.cumsum(axis=0).cumsum(axis=2)[k, :, k]
         along = np.einsum("mei,sij,mej->sme", self._normals, spread, self._normals)
         self._stiffness = 0.5 / along
-        self._extra = program.weights.stay * (ahead < wished / 2) * (wished > 0)
+        self._extra = program.weights.stay * (ahead < desired / 2) * (desired > 0)
         self._first = self._extra[0]
 
     def best(self) -> _Found:

@@ -39,7 +39,7 @@ _SOONEST = 0.01
 
 @dataclass(frozen=True)
 class Limits:
-    """What the robot can do, and the foot; defaults are Cassie's.
+    """Limits of robot and foot; defaults are Cassie's.
 
     Raises:
         ConfigurationError: a range is not ascending, or a number not positive.

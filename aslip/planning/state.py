@@ -1,4 +1,4 @@
-"""What a planner knows of n robots, and the motion of a foot in flight."""
+"""State of n robots from which a plan begins, and the motion of a foot in flight."""
 
 from __future__ import annotations
 

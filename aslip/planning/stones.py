@@ -150,18 +150,29 @@ class Stones:
 
     def nearest(self, points: Array) -> Array:
         """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""
-        found = points + 0 * self.centres[:, None]
-        for edge in [*range(self.offsets.shape[-1])] * _SWEEPS:
-            normal = self.normals[:, None, :, edge]
-            beyond = ((normal * found).sum(-1) - self.offsets[:, None, :, edge]).clip(0.0)
-            found = found - beyond[..., None] * normal
-        return found
+        spread = points + 0 * self.centres[:, None]
+        return nearest(spread, self.normals[:, None], self.offsets[:, None])
 
     def height(self, stone: Array, floor: Array) -> Array:
         """Heights (n,) of stones by index (n,); that of the floor (n,) for index -1."""
         xp = namespace(self.heights)
         rows = xp.arange(len(stone), device=self.heights.device)
         return xp.where(stone >= 0, self.heights[rows % len(self.heights), stone], floor)
+
+
+def nearest(points: Array, normals: Array, offsets: Array) -> Array:
+    """Points (*b, 2) of polygons nearest to points (*b, 2), exact on rectangles [m].
+
+    Args:
+        points: (*b, 2) any points [m].
+        normals: (*b, e, 2) outward unit normals of the edges.
+        offsets: (*b, e) distances of the edges from the origin [m].
+    """
+    for edge in [*range(offsets.shape[-1])] * _SWEEPS:
+        normal = normals[..., edge, :]
+        beyond = ((normal * points).sum(-1) - offsets[..., edge]).clip(0.0)
+        points = points - beyond[..., None] * normal
+    return points
 
 
 def _turned(vectors: Array, angle: Array) -> Array:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.planning.stepping_stones
 
-Each robot of a batch walks another course, at a random speed and phase, steered along the course's
+Each robot of a batch walks another course, at a random speed and phase, led along the course's
 middle. A course is completed when the pelvis is above the last stone. A stone is left when the
 robot falls, or a loaded foot is deeper than a stone's top. Stacks with a planner, which writes
 `("plan", ...)`, see the stones; others walk blindly.
@@ -162,7 +162,7 @@ def walk_courses(
 
 
 def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dict[str, np.ndarray]:
-    """What is compared, at the end of a policy step; footholds in the world, NaN without plan."""
+    """Numbers to compare at the end of a policy step; footholds in the world, NaN without plan."""
     truth = {name: value.double().cpu().numpy() for name, value in td["truth"].items()}
     feet = np.stack([truth[f"{side}_foot_position"] for side in SIDES], axis=1)
     load, pelvis = truth["ground_force"][..., 2], truth["pelvis_position"][:, :2]

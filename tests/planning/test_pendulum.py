@@ -31,7 +31,7 @@ def test_the_flow_solves_the_equation_of_motion(shift):
 
 
 def test_programs_predict_the_body_at_every_touchdown():
-    """As the flow goes from touchdown to touchdown; for limits, up to a linearised time."""
+    """Bodies at touchdowns are those of the flow; for limits, up to a linearised time."""
     planner, rng = Planner(Program(Pendulum(bounce=0.0))), np.random.default_rng(0)
     for _ in range(5):
         case = random_case(planner.program, rng)
@@ -53,7 +53,7 @@ def test_programs_predict_the_body_at_every_touchdown():
 
 
 def test_bodies_bounce_within_a_step():
-    """As high at both touchdowns, highest in single stance."""
+    """The body is equally high at both touchdowns, and highest in single stance."""
     since, time = np.linspace(0, 0.4, 401), np.full(401, 0.4)
     height, rate, acceleration = P.bounced(since, time)
     np.testing.assert_allclose(np.gradient(height, since)[1:-1], rate[1:-1], atol=1e-3)

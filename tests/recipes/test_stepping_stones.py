@@ -24,7 +24,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> StonesConfig:
 
 
 def test_the_policy_starts_from_another_which_waits_for_the_critic(config: StonesConfig) -> None:
-    """Of two updates the first is the critic's alone."""
+    """The first of two updates is the critic's alone."""
     assert policy_stack(config.out) == "planned"
     before, after = (load_policy(p).state_dict() for p in ("directions", config.out))
     moved = [(after[name] - before[name]).abs().max() for name in after if "weight" in name]

@@ -67,7 +67,7 @@ def _course(*stones: Any, polygons: dict[int, Any] | None = None) -> Course:
 
 
 def test_ground_is_that_of_the_nearest_stones_weighted_by_load() -> None:
-    """Of a rectangle the edge counts, of a polygon the centre; none is at height zero."""
+    """Distances count to the edge of a rectangle and to the centre of a polygon."""
     nan = [np.nan] * 3
     course = [START, [0.7, 0.0, 0.2, np.pi / 2, 0.1, 0.4], [2.0, 0.0, -0.3, *nan], 2 * nan]
     stones = np.array([course, course, course, 4 * [2 * nan]])

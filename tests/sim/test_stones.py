@@ -92,7 +92,7 @@ def test_each_robot_has_its_own_ground() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_stones_are_chosen_at_resets(backend: str) -> None:
-    """Of the robots that reset only; friction, delays and later courses leave them."""
+    """Resets place stones of their own robots; friction, delays and later courses leave them."""
     env = bare_env(backend)
     env.set_dynamics({"floor_friction": [0.3, 0.7]})
     stones = torch.full((2, 8, 6), torch.nan, dtype=torch.float64)

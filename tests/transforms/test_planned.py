@@ -9,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Unbounded
 
 import aslip
-from aslip.envs import StackEnv, insert_before
+from aslip.envs import ON_TRUTH, StackEnv, insert_before
 from aslip.envs.directions import planned_stack
 from aslip.envs.straight import shipped_library
 from aslip.errors import ConfigurationError
@@ -162,6 +162,18 @@ def test_a_reset_of_some_robots_leaves_the_others() -> None:
         for name, value in cast("TensorDictBase", td[key]).items():
             assert torch.equal(again[key, name][[0, 2]], value[[0, 2]]), (key, name)
     assert not torch.equal(again["plan", "state"][1], td["plan", "state"][1])
+
+
+def test_true_forces_tell_when_feet_land_without_an_estimator() -> None:
+    """Plans on the truth go on to the second foot's landing, too."""
+    env = aslip.make_env(num_envs=2, seed=3, stack="planned", **ON_TRUTH)
+    td = env.reset(TensorDict({"stand": torch.zeros(2, 1)}, [2]))
+    policy, stances = load_policy("directions"), []
+    for _ in range(30):
+        td = env.step_mdp(env.step(policy(td)))
+        stances.append(WalkState.from_rows(cast("torch.Tensor", td["plan", "state"])).stance)
+    assert (torch.stack(stances).diff(dim=0) != 0).sum(0).min() >= 2
+    assert cast("torch.Tensor", td["reference", "motor_target"]).isfinite().all()
 
 
 def test_a_wrong_share_is_refused() -> None:

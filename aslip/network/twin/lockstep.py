@@ -29,7 +29,7 @@ def serve_lockstep(
     answer sends its datagram again, and the simulation does not depend on lost datagrams.
 
     A client that begins with zeros after another one has gone finds the robot on its feet again. A
-    client has begun if its numbers do not go on from the last ones, after 0.1 s of silence.
+    client is new if its numbers do not go on from the last ones, after 0.1 s of silence.
 
     Args:
         robot: robot to advance.

@@ -145,21 +145,21 @@ def test_clients_one_after_another_begin_with_the_robot_on_its_feet(
     for name in ("twin.lockstep.SILENCE", "wire.endpoint.SILENCE", "twin.lockstep._GONE"):
         monkeypatch.setattr(f"aslip.network.{name}", 0.02)
     monkeypatch.setattr("aslip.network.twin.lockstep._PATIENCE", 0.005)
-    said, twin, begun, port = list[str](), TwinRobot(), [], ANY_PORT
+    said, twin, starts, port = list[str](), TwinRobot(), [], ANY_PORT
     with serving(partial(serve_lockstep, say=said.append), twin) as server:
         for _ in range(2):
             link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
             with Endpoint(link, port, server.local) as client:
                 port = client.local
                 client.request(PD_IN.zeros())
-                begun.append(twin.states())
+                starts.append(twin.states())
                 for _ in range(20):
                     client.request(command_to_pd_in(STANDING))
                 time.sleep(0.05)
                 client.request(PD_IN.zeros())
                 assert twin.ticks == 22
                 time.sleep(0.05)
-    np.testing.assert_array_equal(*begun)
+    np.testing.assert_array_equal(*starts)
     assert said == [f"client {port}", f"no command from {port} for 0.02 s: waiting"]
 
 
