@@ -66,6 +66,11 @@ class BatchPlanner:
         variable = self._rest(cost, [], None)[0].clip(least, greatest)
         steps: list[Array] = []
         chosen, possible = [], []
+        limits = program.limits
+        if stones is not None:
+            extra = program.weights.stay_of(problem, stones, limits.half_foot + limits.margin)
+            if aim is not None:
+                extra[:, 0] += program.weights.change_of(stones, aim)
         height, foothold, soonest = problem.stance[:, 2], problem.stance[:, :2], least
         for k in range(program.steps):
             near = stones is None or k == 0
@@ -76,9 +81,7 @@ class BatchPlanner:
                 step = _clipped(desired if shift is None or k else desired + shift, *box)
             else:
                 places = self._places(problem, stones, k, foothold, desired, box)
-                if k == 0 and aim is not None:
-                    change = program.weights.change_of(stones, aim)
-                    places = (*places[:2], places[2] + change / program.weights.step)
+                places = (*places[:2], program.weights.step * places[2] + extra[:, k])
                 stone, step, kept = self._choose(problem, stones, k, places, (foothold, height))
                 height = stones.height(stone, height)
                 possible.append(kept)
@@ -90,10 +93,13 @@ class BatchPlanner:
                 latest = xp.maximum(soonest, greatest)
                 variable = self._rest(cost, steps, None)[0].clip(soonest, latest)
         if stones is not None:
-            standing = stones.pick(xp.stack(chosen, -1))
+            standing, pressed = stones.pick(xp.stack(chosen, -1)), problem
             for _ in range(_SWEEPS):
-                variable, steps = self._improved(problem, cost, standing, steps)
+                variable, steps = self._improved(pressed, program.cost(pressed), standing, steps)
                 variable = variable.clip(soonest, latest)
+                distance = program.pressure(problem, variable, xp.stack(steps, 1))
+                pressed = problem.pressed(distance)
+            problem, cost = pressed, program.cost(pressed)
         taken = xp.stack(steps, 1)
         stone = xp.stack(chosen, -1) if chosen else 0 * problem.side - 1
         kept = xp.stack(possible, -1).cumprod(-1) if possible else 0 * problem.side
@@ -209,16 +215,13 @@ class BatchPlanner:
     ) -> tuple[Array, Array, Array]:
         """Index of the best stone (n,), step to it (n, 2), and whether it is possible (n,)."""
         (inside, violation, cost), (foothold, height) = places, stance
-        xp, weights = namespace(cost), self.program.weights
+        xp = namespace(cost)
         rise = abs(stones.heights - height[:, None]) - self.program.limits.rise
         violation = violation + rise.clip(0.0) ** 2
         if k == 0:
             late = self._arrival(problem, foothold[:, None] + inside) - problem.times[:, 2:]
             violation = violation + (self.program.limits.foot_speed * late.clip(0.0)) ** 2
-        ahead = (inside * problem.ahead[:, None]).sum(-1)
-        desired = (problem.ahead**2).sum(-1)[:, None]
-        stay = weights.stay * ((ahead < desired / 2) & (desired > 0))
-        cost = weights.step * cost + stay + _VIOLATION * violation
+        cost = cost + _VIOLATION * violation
         best = xp.where(stones.present, cost, 0 * cost + np.inf).argmin(-1)
         rows = xp.arange(len(best), device=cost.device)
         return best, inside[rows, best], violation[rows, best] <= _NONE**2

@@ -93,6 +93,9 @@ class Plan:
     body: tuple[Array, Array]
     """Positions and velocities (n, N + 1, 3) of the body now and at the touchdowns, its height
     without the bounce of steps [m, m/s]."""
+    pressure: Array
+    """(n, 2) centre of pressure in single stance, from the stance foot, until the next touchdown
+    [m]."""
     pendulum: Pendulum
     """Model of the body's motion."""
     clearance: float
@@ -135,6 +138,7 @@ class Plan:
             within_limits=within_limits,
             cost=cost,
             body=_bodies(program, problem, state, variable, steps, foothold),
+            pressure=problem.pressure,
             pendulum=p,
             clearance=program.limits.clearance,
         )
@@ -154,6 +158,7 @@ class Plan:
         since = xp.where(done == 0, s.since[rows], zero)
         step = _Footstep(
             stance=self._stood(rows, done),
+            pressure=xp.where(done[:, None] == 0, self.pressure[rows], zero[:, None]),
             last=self._stood(rows, done - 1),
             target=self.foothold[rows, done],
             since=since,
@@ -189,13 +194,12 @@ class Plan:
         """Body, and force of the ground on it (m, 3)."""
         xp, p = namespace(step.elapsed), self.pendulum
         position, velocity = (knots[rows, done] for knots in self.body)
-        start = step.last + (step.since / p.double_stance).clip(0.0, 1.0)[:, None] * (
-            step.stance - step.last
-        )
+        under = step.stance + xp.concatenate([step.pressure, 0 * step.stance[:, 2:]], -1)
+        before = (step.since / p.double_stance).clip(0.0, 1.0)[:, None]
+        start = step.last + before * (step.stance - step.last)
         level = p.flow(
-            position[:, :2], velocity[:, :2], start[:, :2], step.stance[:, :2], step.shift,
-            step.elapsed,
-        )  # fmt: skip
+            position[:, :2], velocity[:, :2], start[:, :2], under[:, :2], step.shift, step.elapsed
+        )
         rest = xp.zeros_like(position[:, 2:])
         ends = [knots[rows, done + 1][:, 2:] for knots in self.body]
         up = quintic(
@@ -205,7 +209,7 @@ class Plan:
         up = [value + one[:, None] for value, one in zip(up, bounce, strict=True)]
         body = Track(*(xp.concatenate([a, b], -1) for a, b in zip(level, up, strict=False)))
         share = (step.elapsed / step.shift.clip(1e-9)).clip(0.0, 1.0)[:, None]
-        lever = body.position - start - share * (step.stance - start)
+        lever = body.position - start - share * (under - start)
         # feet do not pull, also where a short step would bounce faster than the body falls
         load = (bounce[2] + p.gravity).clip(_LEAST_LOAD * p.gravity)[:, None]
         return body, p.mass * xp.concatenate([p.rate**2 * lever[:, :2], rest + load], -1)
@@ -247,6 +251,8 @@ class _Footstep:
 
     stance: Array
     """(m, 3) foothold of the stance foot [m]."""
+    pressure: Array
+    """(m, 2) centre of pressure from there in single stance [m]."""
     last: Array
     """(m, 3) last foothold of the other foot [m]."""
     target: Array

@@ -58,8 +58,8 @@ class Planner:
     def __init__(self, program: Program | None = None) -> None:
         self.program = program or Program()
         steps = self.program.steps
-        self._hessian = np.zeros((1 + 2 * steps, 1 + 2 * steps))
-        self._hessian[1:, 1:] = 2 * np.kron(self.program.matrix, np.eye(2))
+        self._hessian = np.zeros((2 + 2 * steps, 2 + 2 * steps))
+        self._hessian[1:-1, 1:-1] = 2 * np.kron(self.program.matrix, np.eye(2))
 
     def plan(
         self,
@@ -103,11 +103,11 @@ class Planner:
             row[: len(one.stones)] = one.stones
         return Plan.of(
             self.program,
-            problem,
+            problem.pressed(variables[:, -1]),
             state,
             command,
             variable=variables[:, 0],
-            steps=variables[:, 1:].reshape(len(found), -1, 2),
+            steps=variables[:, 1:-1].reshape(len(found), -1, 2),
             stones=stones,
             chosen=chosen,
             on_stones=np.array([len(one.stones) if one.on_stones else 0 for one in found]),
@@ -116,30 +116,47 @@ class Planner:
         )
 
     def objective(self, problem: Problem) -> tuple[np.ndarray, np.ndarray, float]:
-        """Matrix, vector and constant of the cost x H x / 2 + f x + c of a robot, n = 1."""
+        """Matrix, vector and constant of the cost x H x / 2 + f x + c of a robot, n = 1.
+
+        The variables x are t, the steps and z.
+        """
         bend, cross, slope, slopes, constant = self.program.cost(problem)
         hessian = self._hessian.copy()
         hessian[0, 0] = bend[0]
-        hessian[0, 1:] = hessian[1:, 0] = cross.ravel()
-        return hessian, np.concatenate([slope, slopes.ravel()]), float(constant[0])
+        hessian[0, 1:-1] = hessian[1:-1, 0] = cross.ravel()
+        program, weight = self.program, self.program.weight[:, None]
+        (error, rate), pressed = program.errors(problem), program.by_pressure(problem)[0][0]
+        hessian[-1, -1] = 2 * program.weights.pressure + 2 * (weight * pressed**2).sum()
+        hessian[0, -1] = hessian[-1, 0] = 2 * (weight * rate[0] * pressed).sum()
+        across = 2 * program.error.T @ (weight * pressed)
+        hessian[-1, 1:-1] = hessian[1:-1, -1] = across.ravel()
+        last = [2 * (weight * error[0] * pressed).sum()]
+        return hessian, np.concatenate([slope, slopes.ravel(), last]), float(constant[0])
 
-    def limits(self, problem: Problem) -> _Rows:
-        """Limits of the robot, n = 1: speed of the foot, steps, reach."""
+    def limits(self, problem: Problem, *, on_stones: bool) -> _Rows:
+        """Limits of the robot, n = 1: speed of the foot, centre of pressure, steps, reach."""
         limits, steps = self.program.limits, self.program.steps
         fast = self._speed(problem)
         count = len(fast[0])
-        matrix = np.zeros((count + 4 * steps, 1 + 2 * steps))
+        matrix = np.zeros((count + 1 + 4 * steps, 2 + 2 * steps))
         low, high = np.full(1 + len(matrix), -np.inf), np.empty(1 + len(matrix))
+        # the centre of pressure follows the speeds
+        matrix[count, -1], most = 1.0, limits.pressure if on_stones else 0.0
+        low[1 + count], high[1 + count] = -most, most
         low[0], high[0] = self.program.variable(problem, problem.times[:, ::2])[0]
         matrix[:count, :3], high[1 : count + 1] = fast
+        count += 1
         # steps and feet relative to the body, along and across the heading, outward positive
         cosine, sine, side = np.cos(problem.heading[0]), np.sin(problem.heading[0]), problem.side[0]
         turn = np.array([[cosine, sine], [-side * sine, side * cosine]]).transpose(2, 0, 1)
         k = np.arange(steps)
-        by_axis = matrix[count:, 1:].reshape(2, steps, 2, steps, 2)
+        by_axis = np.zeros((2, steps, 2, steps, 2))
         by_axis[0, k, :, k] = turn
         constant, by_time, by_step = self.program.reach(problem)
         by_axis[1] = -np.einsum("kl,kij->kilj", by_step, turn)
+        matrix[count:, 1:-1] = by_axis.reshape(4 * steps, 2 * steps)
+        pressed = sum(self.program.by_pressure(problem))[0] / 2
+        matrix[count + 2 * steps :, -1] = -np.einsum("kij,kj->ki", turn, pressed).ravel()
         matrix[count + 2 * steps :, 0] = -np.einsum("kij,kj->ki", turn, by_time[0]).ravel()
         middle = -np.einsum("kij,kj->ki", turn, constant[0])
         box = np.array([limits.length, limits.width])
@@ -193,13 +210,13 @@ class StoneSearch:
         program = planner.program
         self._steps = program.steps
         self._hessian, self._slope, self._constant = planner.objective(problem)
-        limits = planner.limits(problem)
+        limits = planner.limits(problem, on_stones=stones is not None)
         self._fixed = len(limits.high)
         self.kept: Any = () if stones is None else _near(program, problem, stones)
         self._edges = stones.normals.shape[2] if stones is not None else 0
         rows = self._fixed + self._steps * self._edges
         # the edges of the stones chosen so far follow the limits
-        self._matrix = np.zeros((rows - 1, 1 + 2 * self._steps))
+        self._matrix = np.zeros((rows - 1, 2 + 2 * self._steps))
         self._low, self._high = np.full(rows, -np.inf), np.empty(rows)
         self._matrix[: self._fixed - 1] = limits.matrix
         self._low[: self._fixed], self._high[: self._fixed] = limits.low, limits.high
@@ -210,7 +227,7 @@ class StoneSearch:
             self._prepare(program, problem, stones)
             if aim is not None:
                 change = program.weights.change_of(stones, aim)[0, self.kept]
-                self._first = self._first + change
+                self._extra[0] = self._extra[0] + change
             heights = stones.heights[:, self.kept]
         self._least = program.variable(problem, program.least_time(problem, heights))[0]
         if stones is None:
@@ -225,7 +242,6 @@ class StoneSearch:
         # a foothold is the sum of all steps to it
         self._repeated = np.tile(self._normals, self._steps)
         # the stance foot comes first, as a point
-        middle = stones.centres[0, self.kept]
         corners = np.concatenate(
             [np.broadcast_to(stance[:2], (1, self._edges, 2)), stones.corners[0, self.kept]]
         )
@@ -242,18 +258,14 @@ class StoneSearch:
         self._possible = (
             (far[0] >= low_x) & (near[0] <= high_x) & (far[1] >= low_y) & (near[1] <= high_y)
         ) & self._level
-        start = np.concatenate([stance[None, :2], middle])[:, None]
-        place = stones.nearest(start[None] + problem.ahead)[0][:, self.kept]
-        ahead = (place - start) @ problem.ahead[0]
-        desired = problem.ahead[0] @ problem.ahead[0]
         # variances of the footholds, sums of the steps to them, where the cost is a density
-        steps = np.linalg.inv(self._hessian)[1:, 1:].reshape(self._steps, 2, self._steps, 2)
+        steps = np.linalg.inv(self._hessian)[1:-1, 1:-1].reshape(self._steps, 2, self._steps, 2)
         k = np.arange(self._steps)
         spread = steps.cumsum(axis=0).cumsum(axis=2)[k, :, k]
         along = np.einsum("mei,sij,mej->sme", self._normals, spread, self._normals)
         self._stiffness = 0.5 / along
-        self._extra = program.weights.stay * (ahead < desired / 2) * (desired > 0)
-        self._first = self._extra[0]
+        foot = limits.half_foot + limits.margin
+        self._extra = program.weights.stay_of(problem, stones, foot)[0][:, self.kept]
 
     def best(self) -> _Found:
         """Optimum, or the safest step."""
@@ -277,7 +289,7 @@ class StoneSearch:
             if not self._level[last + 1, stone]:
                 return np.inf
             self._place(depth, stone)
-            extra, last = extra + float(self._extras(depth, last)[stone]), stone
+            extra, last = extra + float(self._extra[depth, stone]), stone
         solved = self._solve(len(sequence))
         return np.inf if solved is None else solved[1] + extra
 
@@ -294,8 +306,7 @@ class StoneSearch:
         """
         depth, possible = len(stones), np.flatnonzero(self._possible[len(stones), last + 1])
         bounds = solved[1] + self._bound(depth, possible, solved[0])
-        extras = self._extras(depth, last)
-        bounds = bounds + extra + extras[possible]
+        bounds = bounds + extra + self._extra[depth, possible]
         for k in np.argsort(bounds):
             i, worst = int(possible[k]), self._best.cost - _TOLERANCE
             # more steps on stones count more than cost
@@ -305,7 +316,7 @@ class StoneSearch:
             found = self._solve(depth + 1)
             if found is None:
                 continue
-            chosen, more = (*stones, i), extra + float(extras[i])
+            chosen, more = (*stones, i), extra + float(self._extra[depth, i])
             value = (-len(chosen), found[1] + more)
             if value < (-len(self._best.stones), self._best.cost):
                 self._best = _Found(found[0], value[1], chosen)
@@ -314,16 +325,12 @@ class StoneSearch:
             if len(chosen) < self._steps:
                 self._visit(chosen, i, found, more)
 
-    def _extras(self, depth: int, last: int) -> np.ndarray:
-        """Cost (m,) of stones themselves, at a depth after another."""
-        return self._first if depth == 0 else self._extra[last + 1]
-
     def _bound(self, depth: int, stones: np.ndarray, variables: np.ndarray) -> np.ndarray:
         """Least additional cost of stones (k,) for a step, from the optimum without them.
 
         The cost rises at least as fast from there as it would without constraints.
         """
-        place = variables[1:].reshape(-1, 2)[: depth + 1].sum(axis=0)
+        place = variables[1:-1].reshape(-1, 2)[: depth + 1].sum(axis=0)
         beyond = self._normals[stones] @ place - self._offsets[depth, stones]
         return (beyond.clip(0.0) ** 2 * self._stiffness[depth, stones]).max(axis=1)
 

@@ -1,7 +1,8 @@
 r"""Quadratic program of the next footsteps.
 
-Variables are :math:`t`, about the time by which the next touchdown is later than nominal, and the
-steps :math:`d_1 \dots d_N` from foothold to foothold. With :math:`e^{\omega \tau} = e^{\omega
+Variables are :math:`t`, about the time by which the next touchdown is later than nominal, the
+steps :math:`d_1 \dots d_N` from foothold to foothold and, on stones, the distance z of the centre
+of pressure along the stance foot. With :math:`e^{\omega \tau} = e^{\omega
 \bar\tau} (1 + \omega t)` in place of the time :math:`\tau` until the next touchdown, the offsets
 :math:`e_k = \xi_k - p_k` of the divergent component from the foot at each touchdown are linear,
 
@@ -20,7 +21,7 @@ closed form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -35,6 +36,8 @@ Range = tuple[float, float]
 
 # least time until a touchdown, and least freedom in it [s]
 _SOONEST = 0.01
+# distance of the feet of a periodic walk beyond its limit [m]
+_ROOM = 0.02
 
 
 @dataclass(frozen=True)
@@ -45,14 +48,16 @@ class Limits:
         ConfigurationError: a range is not ascending, or a number not positive.
     """
 
-    length: Range = (-0.75, 0.85)
+    length: Range = (-0.5, 0.75)
     """Step ahead, from foot to foot [m]."""
-    width: Range = (0.08, 0.65)
+    width: Range = (0.15, 0.5)
     """Step outward, from foot to foot [m]; less than 0 would cross the legs."""
-    reach: Range = (-0.6, 0.6)
+    reach: Range = (-0.5, 0.5)
     """Foot ahead of the body at touchdown [m]."""
-    outward: Range = (-0.2, 0.5)
+    outward: Range = (-0.1, 0.4)
     """Foot outward of the body at touchdown [m]."""
+    pressure: float = 0.05
+    """Centre of pressure ahead of the middle of a foot that stands on a stone, or behind [m]."""
     step_time: Range = (0.3, 0.6)
     """Time between touchdowns [s]."""
     foot_speed: float = 3.5
@@ -90,12 +95,32 @@ class Weights:
     """Offsets of the divergent component other than the command's [1/m^2]."""
     last: float = 100.0
     """The last of these offsets [1/m^2]: what comes after it depends on it alone."""
+    pressure: float = 1.0
+    """Centre of pressure ahead of the middle of the foot, or behind [1/m^2]."""
     stay: float = 1.0
-    """A step to a stone that is less than half as far ahead as the command's step [-]; without it,
-    where stones are far apart, a robot would rather step in place than fast."""
-
+    """A foothold whose stone ends half a step of the command behind where the command would be [-];
+    without it, where stones are far apart, a robot would rather step in place than fast."""
     change: float = 10.0
     """Change of the stone that a foot in flight goes to, by distance [1/m^2]."""
+
+    def stay_of(self, problem: Problem, stones: Stones, foot: float) -> Array:
+        """Cost (n, N, m) of stones that are behind the command at each step, see `stay`.
+
+        Args:
+            problem: programs of n robots.
+            stones: m stones of each.
+            foot: distance of a foothold from the edges of a stone [m].
+        """
+        xp, ahead = namespace(problem.ahead), problem.ahead
+        wanted = ((ahead**2).sum(-1, keepdims=True)) ** 0.5
+        along = ahead / wanted.clip(TINY)
+        start = (problem.stance[:, :2] * along).sum(-1)[:, None]
+        ends = (stones.corners * along[:, None, None]).sum(-1)
+        most, middle = xp.amax(ends, -1) - foot, (stones.centres * along[:, None]).sum(-1)
+        room = xp.maximum(most, middle) - start
+        order = xp.arange(problem.side.shape[1], device=problem.side.device) + 0.5
+        late = room[:, None] < (order * wanted)[..., None]
+        return self.stay * (late & (wanted > 0)[..., None])
 
     def change_of(self, stones: Stones, aim: Array) -> Array:
         """Cost (n, m) of stones for feet that go to (n, 2); none where that is NaN."""
@@ -116,6 +141,13 @@ class Problem:
     """(n, 2) divergent component at the nominal touchdown, from the stance foot [m]."""
     decay: Array
     """(n, 2) convergent component there [m]."""
+    toes: Array
+    """(n, 2) direction of the stance foot."""
+    gain: Array
+    """(n, 2) what both components there lose by the distance z of the centre of pressure along the
+    toes; they gain z, too [-]."""
+    pressure: Array
+    """(n, 2) centre of pressure, from the stance foot [m]."""
     heading: Array
     """(n, N) heading at the touchdowns [rad]."""
     side: Array
@@ -132,6 +164,16 @@ class Problem:
     """(n, 2) of the body [m/s]."""
     ahead: Array
     """(n, 2) step of the command, without the distance of the feet [m]."""
+
+    def pressed(self, distance: Array) -> Problem:
+        """Programs with the centre of pressure by (n,) along the toes [m], from one without."""
+        place = distance[:, None] * self.toes
+        return replace(
+            self,
+            growth=self.growth - self.gain[:, :1] * place,
+            decay=self.decay - self.gain[:, 1:] * place,
+            pressure=place,
+        )
 
 
 class Program:
@@ -162,7 +204,8 @@ class Program:
         self._growth, self._decay = (self._offsets(sign) for sign in (1, -1))
         self.sigma = np.exp(p.rate * p.step_time)
         self._expected = self._of_steps()
-        self._error = matrix = self._growth[0] - self._expected
+        self.error = matrix = self._growth[0] - self._expected
+        """(N, N) offsets other than those of longer steps, by the steps along one axis."""
         weight = np.full(steps, self.weights.offset)
         weight[-1] = self.weights.last
         self.weight = weight
@@ -202,11 +245,14 @@ class Program:
         nominal = xp.minimum(xp.maximum(p.step_time - state.since, least), greatest)
         start = pressure(state, p.double_stance)
         body, velocity = state.body_position[:, :2], state.body_velocity[:, :2]
-        components = []
+        components, gain = [], []
         for sign in (1, -1):
-            beta = p.shift(sign, shift)[:, None] * (stance[:, :2] - start)
-            from_foot = body + velocity * (sign / p.rate) - stance[:, :2] + beta
-            components.append(from_foot * xp.exp(sign * p.rate * nominal)[:, None])
+            factor, beta = xp.exp(sign * p.rate * nominal), p.shift(sign, shift)
+            from_foot = body + velocity * (sign / p.rate) - stance[:, :2]
+            moved = from_foot + beta[:, None] * (stance[:, :2] - start)
+            components.append(moved * factor[:, None])
+            gain.append(factor * (1 - beta))
+        toes = state.of_foot(state.foot_heading, swing=False)
         order = xp.arange(self.steps, device=state.since.device)
         side = 1 - 2 * ((1 - state.stance[:, None] + order) % 2)
         heading = command[:, 2:] * (nominal[:, None] + p.step_time * order)
@@ -217,6 +263,9 @@ class Program:
             shift=shift,
             growth=components[0],
             decay=components[1],
+            toes=xp.stack([xp.cos(toes), xp.sin(toes)], -1),
+            gain=xp.stack(gain, -1),
+            pressure=0 * stance[:, :2],
             heading=heading,
             side=side,
             step=step,
@@ -235,7 +284,7 @@ class Program:
         turn = p.step_time * command[:, 2]
         half = xp.exp(-0.5j * turn)
         ahead = p.step_time * xp.sinc(turn / (2 * np.pi)) * (command[:, 0] + 1j * command[:, 1])
-        least = p.step_time * abs(command[:, 1]) + 1.5 * self.limits.width[0]
+        least = p.step_time * abs(command[:, 1]) + self.limits.width[0] + _ROOM
         width = 1j * half * xp.maximum(least, xp.zeros_like(least) + self.width)
         ahead, turn = ahead * half, xp.exp(1j * turn)
         mean = ahead * (sigma * beta - turn) / (turn - sigma)
@@ -251,12 +300,8 @@ class Program:
         Returns:
             a (n,), b (n, N, 2), f (n,), g (n, N, 2) and the constant (n,); M is `matrix`.
         """
-        matrix, powers, weight = (
-            like(one, problem.growth) for one in (self._error, self._growth[1], self.weight)
-        )
-        first = powers[:, None] * problem.growth[:, None]  # offsets without steps at nominal time
-        rate = self.pendulum.rate * first
-        error = first - problem.offset
+        matrix, weight = like(self.error, problem.growth), like(self.weight, problem.growth)
+        error, rate = self.errors(problem)
         weighed = weight[:, None] * error
         bend = 2 * self.weights.time + 2 * (weight[:, None] * rate**2).sum((-2, -1))
         cross = 2 * matrix.T @ (weight[:, None] * rate)
@@ -266,6 +311,45 @@ class Program:
             (-2, -1)
         )
         return bend, cross, slope, slopes, constant
+
+    def errors(self, problem: Problem) -> tuple[Array, Array]:
+        """Offsets (n, N, 2) other than the command's, without steps at the nominal time; and by t.
+
+        By the steps they are `error`.
+        """
+        powers = like(self._growth[1], problem.growth)[:, None]
+        first = powers * problem.growth[:, None]
+        error = first + powers * problem.pressure[:, None] - problem.offset
+        return error, self.pendulum.rate * first
+
+    def by_pressure(self, problem: Problem) -> tuple[Array, Array]:
+        """Divergent and convergent offsets (n, N, 2) by the distance z of the centre of pressure.
+
+        They are those at the nominal touchdown.
+        """
+        toes = problem.toes[:, None]
+        return tuple(
+            like(powers, toes)[:, None] * (1 - problem.gain[:, i, None, None]) * toes
+            for i, powers in enumerate((self._growth[1], self._decay[1]))
+        )  # pyright: ignore[reportReturnType]
+
+    def pressure(self, problem: Problem, variable: Array, steps: Array) -> Array:
+        """Optimal distance z (n,) of the centre of pressure, of programs without, at t and steps.
+
+        Args:
+            problem: programs, with the centre of pressure on the foot.
+            variable: (n,) t.
+            steps: (n, N, 2) steps [m].
+        """
+        powers, weight = (like(one, steps) for one in (self._growth[1], self.weight))
+        error, rate = self.errors(problem)
+        off = error + variable[:, None, None] * rate + like(self.error, steps) @ steps
+        factor = 1 + self.pendulum.rate * variable
+        by = powers * (1 - factor * problem.gain[:, 0])[:, None]
+        along = (off * problem.toes[:, None]).sum(-1)
+        most = self.limits.pressure
+        bend = self.weights.pressure + (weight * by**2).sum(-1)
+        return (-(weight * by * along).sum(-1) / bend).clip(-most, most)
 
     def value(self, cost: tuple[Array, ...], variable: Array, steps: Array) -> Array:
         """Cost (n,) of t (n,) and steps (n, N, 2)."""
@@ -289,7 +373,8 @@ class Program:
         """Body relative to the landing foot, and its velocity, at the touchdowns (n, N, 2)."""
         factor = (1 + self.pendulum.rate * variable)[:, None, None]
         divergent, convergent = (
-            like(matrix, steps) @ steps + like(powers, steps)[:, None] * start
+            like(matrix, steps) @ steps
+            + like(powers, steps)[:, None] * (start + problem.pressure[:, None])
             for (matrix, powers), start in (
                 (self._growth, problem.growth[:, None] * factor),
                 (self._decay, problem.decay[:, None] / factor),
@@ -317,7 +402,9 @@ class Program:
             (-1, self._decay, problem.decay),
         ):
             first = like(powers, start)[:, None] * start[:, None] / 2
-            constant, by_time = constant + first, by_time + sign * self.pendulum.rate * first
+            pressed = like(powers, start)[:, None] * problem.pressure[:, None] / 2
+            constant = constant + first + pressed
+            by_time = by_time + sign * self.pendulum.rate * first
             by_step = by_step + matrix / 2
         return constant, by_time, by_step
 
