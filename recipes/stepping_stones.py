@@ -93,7 +93,7 @@ from aslip.transforms import RandomFootsteps
 from aslip.walking import WalkResult
 
 # sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
-_SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.25, 0.35), (0.0, 0.5, 1.0), 300, 16, 77
+_SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3, 0.45), (0.0, 0.5, 1.0), 300, 16, 77
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:

@@ -164,13 +164,12 @@ def planned_stack(
     stack = insert_before(stack, "action", reference=reference, feedforward=feedforward)
     feet = ("left_foot_position", "right_foot_position")
     source = REWARD_SOURCES[reward_on]
-    feet = ("left_foot_position", "right_foot_position")
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
         rewards.feet_apart: (
             [(source, foot) for foot in feet],
             [("target", foot) for foot in feet],
         ),
-        rewards.speed_diff: ([(source, "pelvis_velocity")], [_FILTERED]),
+        rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", "speed")]),
     }
     stack = insert_before(stack, "reward", **terms_of(reads))
     return stack | {"reward": WeightedReward(PLANNED_WEIGHTS)}

@@ -36,11 +36,12 @@ from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
-    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1}
+    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "speed": 2}
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
-columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; and the
-number of first footholds that stones allow, see `Plan.on_stones`."""
+columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
+of first footholds that stones allow, see `Plan.on_stones`; and the mean velocity of the body over
+all steps, which of robots that do not walk is the command's [m/s]."""
 
 _MOTORS = ("motor_position", "motor_velocity", "motor_torque")
 _VECTORS = (
@@ -91,7 +92,8 @@ class PlannedReference(SeededTransform):
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
-        planner: a `BatchPlanner`, by default, or a `Planner`, which is exact and slower.
+        planner: a `BatchPlanner`, or a `Planner`, which is exact and slower; by default the former
+            for robots on the floor and the latter for those on stones.
         follow: share of the distance to the estimate by which a plan moves in a policy step.
         command_key: key of the command (n, 3) to plan for.
         stands: whether there are `mode` and `stand`, see `StandClock`.
@@ -116,6 +118,7 @@ class PlannedReference(SeededTransform):
         super().__init__(keys, ["reference", "target", "plan"])
         self.library, self.legs = library, LegTable()
         self.planner = default_planner() if planner is None else planner
+        self._on_stones = Planner(self.planner.program) if planner is None else planner
         slow, fast = follow
         self.follow = (
             check_number("follow", slow, 0.0, fast),
@@ -213,6 +216,7 @@ class PlannedReference(SeededTransform):
                 {name: torch.where(walks, value, other[name]) for name, value in own.items()}
                 for own, other in zip((reference, target), others, strict=True)
             )
+            plan["speed"] = torch.where(walks, plan["speed"], command[:, :2])
             shift = torch.where(walks, shift, 0.0)
             into.set("phase", phase)
         for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
@@ -228,28 +232,42 @@ class PlannedReference(SeededTransform):
         free = {} if footsteps is None else {"shift": footsteps}
         corners = found.get(("stones", "corners"), None)
         if corners is None:
-            return self._sampled(state, command, free)
+            return self._sampled(self.planner, state, command, free)
         given: dict[str, Any] = {
             "stones": (corners - shift[:, None, None], found["stones", "height"])
         }
         if aim is not None:
             given["aim"] = aim
         there = corners.isfinite().flatten(1).any(1)
-        if there.all():
-            return self._sampled(state, command, given)
-        plans = self._sampled(state, command, given), self._sampled(state, command, free)
-        return _chosen(there, *plans)
+        if isinstance(self._on_stones, Planner):
+            rows = there.nonzero()[:, 0], (~there).nonzero()[:, 0]
+        else:  # for devices on which rows would have to wait
+            rows = (slice(None), slice(None))
+        plans = [
+            self._sampled(planner, *_mapped(lambda value: value[those], (state, command, entries)))  # noqa: B023
+            for planner, those, entries in zip(
+                (self._on_stones, self.planner), rows, (given, free), strict=True
+            )
+            if isinstance(those, slice) or len(those)
+        ]
+        if len(plans) == 1:
+            return plans[0]
+        return _merged(there, *plans) if isinstance(rows[0], Tensor) else _chosen(there, *plans)
 
     def _sampled(
-        self, state: WalkState, command: Tensor, given: Mapping[str, Any]
+        self,
+        planner: BatchPlanner | Planner,
+        state: WalkState,
+        command: Tensor,
+        given: Mapping[str, Any],
     ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
         """Plan, and what `_planned` returns."""
         # single precision loses the time of the touchdown, of which costs hardly depend
-        convert = _to_numpy if isinstance(self.planner, Planner) else _to_double
+        convert = _to_numpy if isinstance(planner, Planner) else _to_double
         state, command, given = _mapped(convert, (state, command, dict(given)))
         if "stones" in given:
             given = {**given, "stones": Stones.from_corners(*given["stones"])}
-        plan = cast("Any", self.planner).plan(state, command, **given)
+        plan = cast("Any", planner).plan(state, command, **given)
         zero = 0 * command[:, 0]
         now, later, *around = (
             plan.sample(zero + CASSIE.policy_period + shift)
@@ -260,6 +278,7 @@ class PlannedReference(SeededTransform):
             "foothold": plan.foothold[:, 0],
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
+            "speed": (plan.body[0][:, -1] - plan.body[0][:, 0])[:, :2] / plan.time[:, -1:],
         }
         return _mapped(_to_single, (now, later, tuple(around), written))
 
@@ -346,6 +365,19 @@ def _mapped(function: Callable[[Any], Any], value: Any) -> Any:
     if is_dataclass(value):
         return type(value)(**_mapped(function, vars(value)))
     return function(value)
+
+
+def _merged(mask: Tensor, one: Any, other: Any) -> Any:
+    """Values of all robots from those of the robots in a mask, and those of the others."""
+    if isinstance(one, tuple):
+        return tuple(_merged(mask, *pair) for pair in zip(one, other, strict=True))
+    if isinstance(one, dict):
+        return {key: _merged(mask, value, other[key]) for key, value in one.items()}
+    if is_dataclass(one):
+        return type(one)(**_merged(mask, vars(one), vars(other)))
+    whole = one.new_empty((len(mask), *one.shape[1:]))
+    whole[mask], whole[~mask] = one, other
+    return whole
 
 
 def _chosen(mask: Tensor, one: Any, other: Any) -> Any:

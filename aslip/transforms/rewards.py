@@ -305,15 +305,15 @@ def feet_apart(
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
 
 
-def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:
-    r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the command.
+def speed_diff(pelvis_velocity: Tensor, speed: Tensor, scale: float = 0.3) -> Tensor:
+    r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the plan's mean.
 
-    A plan follows the robot, so that one which is slower than commanded would not lose reward by
-    the other terms. Ours.
+    A plan goes on from where the robot is, so that one which is slower than commanded would hardly
+    lose reward by the other terms. Ours.
 
     Args:
         pelvis_velocity: (*b, 3) [m/s, heading frame].
-        command: (*b, 3) forward and sideways speed [m/s]; the yaw rate is ignored.
+        speed: (*b, 2) mean velocity of the plan's body over all its steps [m/s, heading frame].
         scale: difference s at which the term is 1/e [m/s].
     """
-    return torch.exp(-_norm(pelvis_velocity[..., :2] - command[..., :2]) / scale)
+    return torch.exp(-_norm(pelvis_velocity[..., :2] - speed) / scale)
