@@ -4,7 +4,7 @@
     python recipes/ppo_aslip.py --resume         # continue after Ctrl-C, kill or a crash
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
-    python recipes/ppo_aslip.py gpu              # 4096 robots on a GPU
+    python recipes/ppo_aslip.py gpu              # 16384 robots on a GPU
     python recipes/ppo_aslip.py --library lip.npz                      # follow gaits of your own
     python recipes/ppo_aslip.py --num-collectors 8                     # robots in Ray actors
     python recipes/ppo_aslip.py --logger wandb                         # or tensorboard, mlflow

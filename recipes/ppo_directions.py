@@ -2,7 +2,7 @@
 
     python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
     python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
-    python recipes/ppo_directions.py gpu               # 4096 robots on a GPU
+    python recipes/ppo_directions.py gpu               # 16384 robots on a GPU
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
 
 PPO is that of `ppo_aslip.py`. In each episode some parameters of robot, floor and sensors are drawn

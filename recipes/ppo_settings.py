@@ -176,8 +176,8 @@ _PAPER = Config(
 
 ON_GPU: Mapping[str, Any] = MappingProxyType(
     {
-        "backend": "warp", "device": "cuda", "num_envs": 4096, "samples": 16 * 4096,
-        "minibatch": 8192, "learning_rate": 1e-3, "last_learning_rate": 1e-4,
+        "backend": "warp", "device": "cuda", "num_envs": 16384, "samples": 4 * 16384,
+        "minibatch": 4096, "learning_rate": 1e-3, "last_learning_rate": 1e-4,
         "eval_interval": 1_000_000,
     }
 )  # fmt: skip

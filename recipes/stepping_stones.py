@@ -71,7 +71,10 @@ class StonesConfig(DirectionConfig):
 PRESETS = {
     "default": StonesConfig(),
     "gpu": StonesConfig(
-        preset="gpu", out=Path("runs/stepping_stones_gpu"), **ON_GPU, total_steps=25_000_000
+        preset="gpu",
+        out=Path("runs/stepping_stones_gpu"),
+        total_steps=25_000_000,
+        **{**ON_GPU, "learning_rate": 3e-4, "last_learning_rate": 3e-5},
     ),
 }
 """Settings to start from, by name."""
@@ -90,6 +93,7 @@ from aslip.envs.directions import course_stack, planned_stack
 from aslip.sim.course import random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import RandomFootsteps
+from aslip.transforms.planned import default_planner
 from aslip.walking import WalkResult
 
 # sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
@@ -107,7 +111,10 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
     return ppo_directions.main(
         config,
         resume_hint,
-        make_stack=planned_stack,
+        # exact plans are for CPUs
+        make_stack=partial(
+            planned_stack, planner=default_planner() if config.backend == "warp" else None
+        ),
         add_training=partial(add_footsteps, config),
     )
 

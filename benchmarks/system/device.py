@@ -23,7 +23,7 @@ class Config:
 
     device: str = "cuda"
     """Device of robots and policy."""
-    num_envs: tuple[int, ...] = (256, 1024, 4096, 8192)
+    num_envs: tuple[int, ...] = (1024, 4096, 16384)
     """Numbers N of robots."""
     timestep: float = 0.001
     """Physics timestep [s]."""
