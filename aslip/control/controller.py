@@ -167,6 +167,7 @@ class Controller(ControllerBase[ControllerState]):
         self.steering = Steering(library, self.command_rates, self.stands, motor_lead)
         self._along_path = self.steering.along_path
         self._planned = PlannedReference(library, planner, stands=self.stands) if plans else None
+        self.plans = plans
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]

@@ -12,6 +12,7 @@ import aslip
 from aslip.base.archive import as_json
 from aslip.control import Controller
 from aslip.control.estimates import standing_estimate
+from aslip.control.export import export_policy
 from aslip.control.steering import Steering
 from aslip.envs import StackEnv
 from aslip.envs.directions import planned_stack
@@ -104,6 +105,12 @@ def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     controller = _controller(planner=planner)
     policy = small_actions(0.02)
     list(compare_rollouts(env, policy, controller, keys, change, steps=60, first=first))
+
+
+def test_a_planner_is_not_exported(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="follows a planner"):
+        export_policy(_controller(planner=default_planner()), tmp_path / "policy.onnx")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_stand_command_stays_until_the_next(env: StackEnv) -> None:

@@ -58,8 +58,8 @@ def export_policy(
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
-        ConfigurationError: the policy cannot be traced, observes entries that a robot does not
-            estimate itself, or its action is not a delta that is added to angles.
+        ConfigurationError: the policy cannot be traced, follows a planner, observes entries that a
+            robot does not estimate itself, or its action is not a delta that is added to angles.
         FileDamagedError: the file does not repeat its golden trace, or the further steps; an
             existing one stays.
         OSError: the file cannot be written; an existing one stays intact.
@@ -67,6 +67,11 @@ def export_policy(
     check_count("steps", steps, least=0)
     name = policy if isinstance(policy, str | Path) else type(policy.policy).__name__
     controller = Controller(policy, library) if isinstance(policy, str | Path) else policy
+    if controller.plans:
+        raise ConfigurationError(
+            f"the policy {str(name)!r} follows a planner, which an exported file does not have;"
+            " aslip.Controller runs both"
+        )
     step = PolicyStep(controller)
     model = trace_graph(step, step.inputs, step.outputs)
     metadata = {
