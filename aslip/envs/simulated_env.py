@@ -50,7 +50,7 @@ from aslip.robot import CASSIE, SIDES, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
 from aslip.sim.course import Course, ground_height
 from aslip.sim.dynamics import load_again, longest_delay, with_memory_of
-from aslip.sim.stones import Stones
+from aslip.sim.stones import PlacedStones
 
 # kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")
@@ -85,7 +85,7 @@ class SimulatedEnv(RobotEnv):
         self.divergences: int | Array = 0
         """Number of simulations that diverged and were reset since construction."""
         self._dynamics = Dynamics(num_envs, self.model, robot, self._arranged)
-        self._stones = Stones(num_envs, self.model, self._arranged)
+        self._stones = PlacedStones(num_envs, self.model, self._arranged)
         self.altered = False
         """True once a robot has had other dynamics than `model`."""
         super().__init__(num_envs, robot, command_size)
@@ -316,7 +316,7 @@ class SimulatedEnv(RobotEnv):
         return self._start()
 
     def _place_requested(self, course: Mapping[str, Tensor], rows: Array) -> None:
-        """Place the stones of a reset request; see `Stones.place_rows`."""
+        """Place the stones of a reset request; see `PlacedStones.place_rows`."""
         for name in course:
             if name != "stones":
                 raise UnknownNameError.among("entry of a course", name, ["stones"])

@@ -25,7 +25,7 @@ FLOOR_DEPTH: Final = 1.0
 _FIELDS = ("geom_pos", "geom_quat", "geom_size", "geom_aabb", "geom_rbound")
 
 
-class Stones:
+class PlacedStones:
     """Stones of n robots, none at first.
 
     Args:
@@ -156,7 +156,7 @@ def course_model(course: Course, *, visual: bool = True) -> mujoco.MjModel:
     """Model of a robot on a course, to draw it or to simulate it alone; see `load_model`."""
     prisms = _prisms(course)
     model = load_model(visual=visual, stones=len(course.stones), prisms=prisms)
-    stones = Stones(1, model)
+    stones = PlacedStones(1, model)
     stones.place(np.zeros(1, dtype=int), [course])
     stones.use_model(model)
     fields = stones.fields(np.zeros(1, dtype=int))
