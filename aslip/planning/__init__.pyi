@@ -1,10 +1,10 @@
 from .batch import BatchPlanner as BatchPlanner
+from .limits import Limits as Limits
+from .limits import Weights as Weights
 from .pendulum import Pendulum as Pendulum
 from .plan import Plan as Plan
 from .plan import PlanSample as PlanSample
 from .planner import Planner as Planner
-from .program import Limits as Limits
 from .program import Program as Program
-from .program import Weights as Weights
 from .state import WalkState as WalkState
 from .stones import Stones as Stones

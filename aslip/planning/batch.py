@@ -196,8 +196,10 @@ class BatchPlanner:
         """Nearest steps (n, m, 2) onto stones, their violations of the limits and costs (n, m)."""
         axes, low, high = box
         xp, limits = namespace(desired), self.program.limits
-        offsets = stones.shrunk(problem.heading[:, k : k + 1], limits.half_foot, limits.margin)
-        offsets = offsets[:, 0] - (stones.normals * foothold[:, None, None]).sum(-1)
+        offsets = stones.shrunk(
+            problem.heading[:, : k + 1], limits.half_foot, limits.margin, limits.reserve
+        )
+        offsets = offsets[:, k] - (stones.normals * foothold[:, None, None]).sum(-1)
         inside = nearest(
             _clipped(desired, *box)[:, None] + 0 * stones.centres, stones.normals, offsets
         )

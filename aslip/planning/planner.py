@@ -236,7 +236,7 @@ class StoneSearch:
     def _prepare(self, program: Program, problem: Problem, stones: Stones) -> None:
         """Edges, relative to the stance foot; extra cost and possibility of pairs of stones."""
         limits, stance = program.limits, problem.stance[0]
-        shrunk = stones.shrunk(problem.heading, limits.half_foot, limits.margin)[0]
+        shrunk = stones.shrunk(problem.heading, limits.half_foot, limits.margin, limits.reserve)[0]
         self._normals = stones.normals[0, self.kept]
         self._offsets = shrunk[:, self.kept] - self._normals @ stance[:2]
         # a foothold is the sum of all steps to it

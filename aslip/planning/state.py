@@ -138,6 +138,8 @@ def quintic(
 
 # acceleration at the top, per height and square of half the swing, of the least jerk there
 _TOP = -20 / 3
+# time before its touchdown at which a foot is above its foothold [s]
+_SETTLE = 0.05
 # time of a swing before its top below which the foot goes straight down [s]
 _LATE = 0.03
 
@@ -152,8 +154,9 @@ def swing(
 ) -> tuple[Array, Array, Array]:
     """Motion (n, 3) of feet in flight to their targets: position, velocity, acceleration.
 
-    Seen from above, a path of least jerk. Its height goes over a top in the middle of the swing, as
-    in `aslip.rom.swing`, and from there down.
+    Seen from above, a path of least jerk, which ends a little before the touchdown: a foot that
+    touches the ground too early is on its foothold, too. Its height goes over a top in the middle
+    of the swing, as in `aslip.rom.swing`, and from there down.
 
     Args:
         foot: position, velocity and acceleration (n, 3) now.
@@ -165,11 +168,12 @@ def swing(
     """
     xp, (gone, left) = namespace(time), times
     rest = xp.zeros_like(target[:, :2])
+    settled = xp.minimum(left, (left - _SETTLE).clip(_SETTLE))
     level = quintic(
         (foot[0][:, :2], foot[1][:, :2], foot[2][:, :2]),
         (target[:, :2], rest, rest),
-        left,
-        time,
+        settled,
+        xp.minimum(time, settled),
     )
     half = (gone + left) / 2
     to_top = half - gone

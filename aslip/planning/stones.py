@@ -110,10 +110,10 @@ class Stones:
             heading: (n,) yaw of the frames there [rad].
         """
         xp = namespace(self.offsets)
-        normals = _turned(self.normals, -heading[:, None, None])
+        normals = turned(self.normals, -heading[:, None, None])
         offsets = self.offsets - (self.normals * position[:, None, None]).sum(-1)
-        centres = _turned(self.centres - position[:, None], -heading[:, None])
-        corners = _turned(self.corners - position[:, None, None], -heading[:, None, None])
+        centres = turned(self.centres - position[:, None], -heading[:, None])
+        corners = turned(self.corners - position[:, None, None], -heading[:, None, None])
         shape = xp.broadcast_shapes(centres.shape[:2], self.heights.shape)
         heights, present = (xp.broadcast_to(a, shape) for a in (self.heights, self.present))
         return Stones(normals, offsets, corners, centres, heights, present)
@@ -131,7 +131,9 @@ class Stones:
         """One stone of each robot, m = 1."""
         return Stones(*(getattr(self, f.name)[:, index : index + 1] for f in fields(self)))
 
-    def shrunk(self, heading: Array, half_length: float, margin: float) -> Array:
+    def shrunk(
+        self, heading: Array, half_length: float, margin: float, reserve: float = 0.0
+    ) -> Array:
         """Offsets (n, s, m, e) of the places where a whole foot stands on a stone.
 
         A foot is a segment. On stones that are too small for it, its centre may be near theirs.
@@ -140,13 +142,16 @@ class Stones:
             heading: (n, s) directions of the toes at s steps [rad].
             half_length: half the length of the segment [m].
             margin: distance that is left to the edges [m].
+            reserve: share of what is left that each further step does not use [-].
         """
         xp = namespace(self.offsets)
         toes = xp.stack([xp.cos(heading), xp.sin(heading)], -1)
         along = xp.einsum("nmek,nsk->nsme", self.normals, toes)
-        less = half_length * abs(along) + margin
-        inside = self.offsets - (self.normals * self.centres[..., None, :]).sum(-1)
-        return self.offsets[:, None] - xp.minimum(less, (1 - _LEFT) * inside[:, None])
+        middle = (self.normals * self.centres[..., None, :]).sum(-1)
+        inside = (self.offsets - middle)[:, None]
+        free = xp.maximum(inside - half_length * abs(along) - margin, _LEFT * inside)
+        order = xp.arange(heading.shape[1], device=heading.device)[:, None, None]
+        return middle[:, None] + free * (1 - reserve * order)
 
     def nearest(self, points: Array) -> Array:
         """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""
@@ -175,7 +180,7 @@ def nearest(points: Array, normals: Array, offsets: Array) -> Array:
     return points
 
 
-def _turned(vectors: Array, angle: Array) -> Array:
+def turned(vectors: Array, angle: Array) -> Array:
     """Vectors (*b, 2), turned by angles (*b,)."""
     xp = namespace(vectors)
     cosine, sine = xp.cos(angle), xp.sin(angle)
