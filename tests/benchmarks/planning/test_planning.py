@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from aslip.planning import Pendulum
-from aslip.sim.course import stairs
+from aslip.planning import BatchPlanner, Pendulum, Planner
+from aslip.sim.course import random_stones, stairs
+from aslip.transforms.planned import default_planner
 from aslip.walking import Walks
 from aslip.walking.record import commands_kept
 from benchmarks.common import Subject
-from benchmarks.planning import models, planner, stepping_stones
+from benchmarks.planning import followed, models, planner, stepping_stones
 
 
 def test_models_are_exact_on_steps_of_a_pendulum():
@@ -22,6 +23,14 @@ def test_models_are_exact_on_steps_of_a_pendulum():
     for model in (models.pendulum_model(2.0), fitted):
         np.testing.assert_allclose(model(steps), steps.later, atol=1e-9)
     assert np.abs(models.pendulum_model(3.0)(steps) - steps.later).max() > 0.05
+
+
+def test_plans_alone_cross_stones_unless_noise_throws_them_off():
+    stones = random_stones(np.random.default_rng(0), 2, count=4, difficulty=0.0)
+    config, program = followed.Config(seconds=6.0), default_planner().program
+    for planned in (Planner(program), BatchPlanner(program)):
+        assert followed.followed(planned, stones, 0.0, config).all()
+    assert not followed.followed(planned, stones, 0.1, config).any()
 
 
 def _gliding_walk() -> Walks:
