@@ -84,6 +84,7 @@ if __name__ == "__main__":
     CONFIG = training_settings(PRESETS)
 
 from functools import partial
+from typing import cast
 
 import numpy as np
 import ppo_directions
@@ -92,10 +93,12 @@ from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
 from aslip.sim.course import random_stones
 from aslip.training.settings import read_settings
-from aslip.transforms import RandomFootsteps
+from aslip.transforms import CourseCommand, RandomFootsteps
 from aslip.transforms.planned import default_planner
 from aslip.walking import WalkResult
 
+# speeds on stones, whose distance sets the pace [m/s]
+_SPEEDS = (0.6, 1.1)
 # sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3, 0.45), (0.0, 0.5, 1.0), 300, 16, 77
 
@@ -123,6 +126,7 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     """Stack for training with courses, and with displaced footholds on the floor."""
     if config.courses:
         stack = course_stack(stack, course_pool(config.courses))
+        cast("CourseCommand", stack["command"]).speeds = _SPEEDS
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
@@ -23,6 +22,14 @@ from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, Wal
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
 from aslip.transforms.estimate import ODOMETRY_SIZES, PATH_SIZES
+from aslip.transforms.nested import (
+    chosen,
+    mapped,
+    merged,
+    to_double,
+    to_numpy,
+    to_single,
+)
 from aslip.transforms.plan_state import (
     ODOMETRY,
     contact_of,
@@ -56,7 +63,7 @@ _LARGE = 0.15
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
 _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
 # time between samples of a plan whose differences are accelerations [s]
-_NEAR = 0.005
+_NEAR = 0.003
 # height of the body above the ground in the library's gaits [m]
 _HEIGHT = 0.875
 
@@ -244,7 +251,7 @@ class PlannedReference(SeededTransform):
         else:  # for devices on which rows would have to wait
             rows = (slice(None), slice(None))
         plans = [
-            self._sampled(planner, *_mapped(lambda value: value[those], (state, command, entries)))  # noqa: B023
+            self._sampled(planner, *mapped(lambda value: value[those], (state, command, entries)))  # noqa: B023
             for planner, those, entries in zip(
                 (self._on_stones, self.planner), rows, (given, free), strict=True
             )
@@ -252,7 +259,7 @@ class PlannedReference(SeededTransform):
         ]
         if len(plans) == 1:
             return plans[0]
-        return _merged(there, *plans) if isinstance(rows[0], Tensor) else _chosen(there, *plans)
+        return merged(there, *plans) if isinstance(rows[0], Tensor) else chosen(there, *plans)
 
     def _sampled(
         self,
@@ -263,8 +270,8 @@ class PlannedReference(SeededTransform):
     ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
         """Plan, and what `_planned` returns."""
         # single precision loses the time of the touchdown, of which costs hardly depend
-        convert = _to_numpy if isinstance(planner, Planner) else _to_double
-        state, command, given = _mapped(convert, (state, command, dict(given)))
+        convert = to_numpy if isinstance(planner, Planner) else to_double
+        state, command, given = mapped(convert, (state, command, dict(given)))
         if "stones" in given:
             given = {**given, "stones": Stones.from_corners(*given["stones"])}
         plan = cast("Any", planner).plan(state, command, **given)
@@ -280,7 +287,7 @@ class PlannedReference(SeededTransform):
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
             "speed": (plan.body[0][:, -1] - plan.body[0][:, 0])[:, :2] / plan.time[:, -1:],
         }
-        return _mapped(_to_single, (now, later, tuple(around), written))
+        return mapped(to_single, (now, later, tuple(around), written))
 
     def _motors(self, later: Any, around: tuple[Any, Any]) -> dict[str, Tensor]:
         """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it."""
@@ -341,54 +348,6 @@ def _spread(value: Any, rows: Tensor) -> Any:
         return spread(value, rows)
     whole = {name: spread(entry, rows) for name, entry in value.items()}
     return TensorDict(whole, rows.shape)
-
-
-def _to_double(value: Tensor) -> Tensor:
-    return value.double() if value.is_floating_point() else value
-
-
-def _to_numpy(value: Tensor) -> np.ndarray:
-    return _to_double(value).numpy()
-
-
-def _to_single(value: np.ndarray | Tensor) -> Tensor:
-    tensor = torch.as_tensor(value)
-    return tensor.float() if tensor.is_floating_point() else tensor
-
-
-def _mapped(function: Callable[[Any], Any], value: Any) -> Any:
-    """Value with a function applied to all arrays in it."""
-    if isinstance(value, tuple):
-        return tuple(_mapped(function, item) for item in value)
-    if isinstance(value, dict):
-        return {key: _mapped(function, item) for key, item in value.items()}
-    if is_dataclass(value):
-        return type(value)(**_mapped(function, vars(value)))
-    return function(value)
-
-
-def _merged(mask: Tensor, one: Any, other: Any) -> Any:
-    """Values of all robots from those of the robots in a mask, and those of the others."""
-    if isinstance(one, tuple):
-        return tuple(_merged(mask, *pair) for pair in zip(one, other, strict=True))
-    if isinstance(one, dict):
-        return {key: _merged(mask, value, other[key]) for key, value in one.items()}
-    if is_dataclass(one):
-        return type(one)(**_merged(mask, vars(one), vars(other)))
-    whole = one.new_empty((len(mask), *one.shape[1:]))
-    whole[mask], whole[~mask] = one, other
-    return whole
-
-
-def _chosen(mask: Tensor, one: Any, other: Any) -> Any:
-    """Values of one of two alike, by a mask (n,) of robots."""
-    if isinstance(one, tuple):
-        return tuple(_chosen(mask, *pair) for pair in zip(one, other, strict=True))
-    if isinstance(one, dict):
-        return {key: _chosen(mask, value, other[key]) for key, value in one.items()}
-    if is_dataclass(one):
-        return type(one)(**_chosen(mask, vars(one), vars(other)))
-    return torch.where(mask.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
 def _feet(sample: Any) -> tuple[Tensor, Tensor]:

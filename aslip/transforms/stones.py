@@ -123,7 +123,7 @@ class CourseCommand(VelocityCommand):
         library: GaitLibrary,
         interval: float = math.inf,
         *,
-        speeds: tuple[float, float] = (0.3, 0.8),
+        speeds: tuple[float, float] = (0.3, 1.1),
     ) -> None:
         super().__init__(library, interval)
         self.speeds = speeds
