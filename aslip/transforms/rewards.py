@@ -313,7 +313,8 @@ def speed_diff(pelvis_velocity: Tensor, speed: Tensor, scale: float = 0.3) -> Te
 
     Args:
         pelvis_velocity: (*b, 3) [m/s, heading frame].
-        speed: (*b, 2) mean velocity of the plan's body over all its steps [m/s, heading frame].
+        speed: (*b, 2) mean velocity of the body over all steps of the plan, of which only these two
+            numbers count [m/s, heading frame].
         scale: difference s at which the term is 1/e [m/s].
     """
-    return torch.exp(-_norm(pelvis_velocity[..., :2] - speed) / scale)
+    return torch.exp(-_norm(pelvis_velocity[..., :2] - speed[..., :2]) / scale)
