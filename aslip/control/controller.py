@@ -168,6 +168,7 @@ class Controller(ControllerBase[ControllerState]):
         self._along_path = self.steering.along_path
         self._planned = PlannedReference(library, planner, stands=self.stands) if plans else None
         self.plans = plans
+        """True if a planner decides where and when the feet land."""
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]

@@ -2,8 +2,9 @@
 
 Stones are chosen one after another, not together as in `aslip.planning.planner`: the optimum
 without constraints is closed form; the next step goes to the possible stone that adds the least to
-its cost, or into the box of the limits; the rest is optimal after it. On these stones, time and
-footholds then approach their optimum in turn. The speed of the foot is limited by time.
+its cost, or into the box of the limits; the rest is optimal after it. On these stones, time,
+footholds and centre of pressure then approach their optimum in turn. The speed of the foot is
+limited by time.
 """
 
 from __future__ import annotations
@@ -196,10 +197,9 @@ class BatchPlanner:
         """Nearest steps (n, m, 2) onto stones, their violations of the limits and costs (n, m)."""
         axes, low, high = box
         xp, limits = namespace(desired), self.program.limits
-        offsets = stones.shrunk(
-            problem.heading[:, : k + 1], limits.half_foot, limits.margin, limits.reserve
-        )
-        offsets = offsets[:, k] - (stones.normals * foothold[:, None, None]).sum(-1)
+        heading, used = problem.heading[:, k : k + 1], self.program.used[k].item()
+        offsets = stones.shrunk(heading, limits.half_foot, limits.margin, used)
+        offsets = offsets[:, 0] - (stones.normals * foothold[:, None, None]).sum(-1)
         inside = nearest(
             _clipped(desired, *box)[:, None] + 0 * stones.centres, stones.normals, offsets
         )

@@ -234,9 +234,10 @@ class StoneSearch:
             self._low[0] = self._least[0]
 
     def _prepare(self, program: Program, problem: Problem, stones: Stones) -> None:
-        """Edges, relative to the stance foot; extra cost and possibility of pairs of stones."""
+        """Edges, relative to the stance foot; extra cost of stones, and possibility of pairs."""
         limits, stance = program.limits, problem.stance[0]
-        shrunk = stones.shrunk(problem.heading, limits.half_foot, limits.margin, limits.reserve)[0]
+        used = program.used[:, None, None]
+        shrunk = stones.shrunk(problem.heading, limits.half_foot, limits.margin, used)[0]
         self._normals = stones.normals[0, self.kept]
         self._offsets = shrunk[:, self.kept] - self._normals @ stance[:2]
         # a foothold is the sum of all steps to it

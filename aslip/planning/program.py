@@ -95,7 +95,8 @@ class Program:
         width: lateral distance of the feet of a walk straight ahead [m].
 
     Raises:
-        ConfigurationError: fewer than two steps, or a width that is not positive.
+        ConfigurationError: fewer than two steps, a width that is not positive, or limits whose
+            reserve leaves nothing of a stone.
     """
 
     def __init__(
@@ -109,6 +110,9 @@ class Program:
         self.pendulum = p = pendulum or Pendulum()
         self.limits, self.weights = limits or Limits(), weights or Weights()
         self.steps, self.width = check_count("steps", steps, 2), check_number("width", width, TINY)
+        check_number("reserve", self.limits.reserve, 0.0, 1 / steps, "of a program's limits")
+        self.used = 1 - self.limits.reserve * np.arange(steps)
+        """(N,) share of a stone, less its margins, that each step may use."""
         self._growth, self._decay = (self._offsets(sign) for sign in (1, -1))
         self.sigma = np.exp(p.rate * p.step_time)
         self._expected = self._of_steps()

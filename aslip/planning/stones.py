@@ -132,7 +132,7 @@ class Stones:
         return Stones(*(getattr(self, f.name)[:, index : index + 1] for f in fields(self)))
 
     def shrunk(
-        self, heading: Array, half_length: float, margin: float, reserve: float = 0.0
+        self, heading: Array, half_length: float, margin: float, share: float | np.ndarray = 1.0
     ) -> Array:
         """Offsets (n, s, m, e) of the places where a whole foot stands on a stone.
 
@@ -142,7 +142,7 @@ class Stones:
             heading: (n, s) directions of the toes at s steps [rad].
             half_length: half the length of the segment [m].
             margin: distance that is left to the edges [m].
-            reserve: share of what is left that each further step does not use [-].
+            share: share of what is left that is used, one number or (s, 1, 1) [-].
         """
         xp = namespace(self.offsets)
         toes = xp.stack([xp.cos(heading), xp.sin(heading)], -1)
@@ -150,8 +150,7 @@ class Stones:
         middle = (self.normals * self.centres[..., None, :]).sum(-1)
         inside = (self.offsets - middle)[:, None]
         free = xp.maximum(inside - half_length * abs(along) - margin, _LEFT * inside)
-        order = xp.arange(heading.shape[1], device=heading.device)[:, None, None]
-        return middle[:, None] + free * (1 - reserve * order)
+        return middle[:, None] + free * share
 
     def nearest(self, points: Array) -> Array:
         """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""

@@ -51,10 +51,11 @@ import torch
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.envs.straight import shipped_library
-from aslip.planning import BatchPlanner, Planner, Stones, WalkState
+from aslip.planning import BatchPlanner, Planner, Stones
 from aslip.planning.stones import turned
 from aslip.robot import CASSIE
 from aslip.sim.course import random_stones, stone_corners, stone_distances
+from aslip.transforms.nested import mapped, to_numpy
 from aslip.transforms.plan_state import start_state
 from aslip.transforms.planned import default_planner
 from aslip.transforms.stones import along_course
@@ -75,12 +76,7 @@ def followed(
     command = torch.cat([speed, 0 * speed, 0 * speed], 1)
     zero = torch.zeros(num, 1)
     start = start_state(shipped_library("directions"), zero, command, 0 * command, zero)
-    state = WalkState(
-        **{
-            name: value.numpy().astype(float if value.is_floating_point() else int)
-            for name, value in vars(start).items()
-        }
-    )
+    state = mapped(to_numpy, start)
     command = command.double().numpy()
     place, yaw = np.zeros((num, 2)), np.zeros(num)
     aim, rows = np.full((num, 2), np.nan), np.arange(num)

@@ -198,6 +198,8 @@ def test_a_whole_foot_stands_on_what_is_left_of_a_stone():
     np.testing.assert_allclose(shrunk[1, 0], [0.01, 0.09, 0.01, 0.09])
     # the centre of a foot that is too long may be near that of the stone
     np.testing.assert_allclose(shrunk[0, 1], [0.04, 0.005, 0.04, 0.005])
+    half = stones.shrunk(toes, half_length=0.08, margin=0.01, share=0.5)[0]
+    np.testing.assert_allclose(half, shrunk / 2, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -206,5 +208,7 @@ def test_a_whole_foot_stands_on_what_is_left_of_a_stone():
 def test_bad_limits_are_named(name, value):
     with pytest.raises(ConfigurationError, match=name):
         Limits(**{name: value})
+    with pytest.raises(ConfigurationError, match=r"reserve must be .* from 0 to 0\.25"):
+        Program(limits=Limits(reserve=0.5))
     with pytest.raises(ConfigurationError, match="steps must be a whole number of 2 or more"):
         Program(steps=1)
