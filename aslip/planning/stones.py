@@ -118,10 +118,6 @@ class Stones:
         heights, present = (xp.broadcast_to(a, shape) for a in (self.heights, self.present))
         return Stones(normals, offsets, corners, centres, heights, present)
 
-    def select(self, robot: int) -> Stones:
-        """Stones of one robot, n = 1."""
-        return Stones(*(getattr(self, f.name)[robot : robot + 1] for f in fields(self)))
-
     def pick(self, index: Array) -> Stones:
         """Stones (n, k) by index (n, k)."""
         rows = namespace(index).arange(len(index), device=index.device)[:, None]

@@ -38,7 +38,7 @@ import numpy as np
 from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.planning import BatchPlanner, Planner, Program, Stones, WalkState
-from aslip.planning.planner import StoneSearch
+from aslip.planning.search import StoneSearch
 
 
 @dataclass(frozen=True)
@@ -112,13 +112,13 @@ def random_polygon(rng: np.random.Generator, place: np.ndarray) -> np.ndarray:
 def search(planner: Planner, case: Case) -> StoneSearch:
     """Search of a case."""
     problem = planner.program.problem(case.state, case.command)
-    return StoneSearch(planner, problem, case.stones)
+    return planner.searches(problem, case.stones)[0]
 
 
 def brute_force(planner: Planner, case: Case) -> float:
     """Least cost over all sequences of stones; infinite if none is possible."""
     found = search(planner, case)
-    sequences = itertools.product(range(len(found.kept)), repeat=planner.program.steps)
+    sequences = itertools.product(found.kept, repeat=planner.program.steps)
     return min((found.cost(sequence) for sequence in sequences), default=np.inf)
 
 
