@@ -117,6 +117,7 @@ _ENTRIES = {
     "reference/left_foot_heading": "direction of the left toes, from the moving frame [rad]",
     "reference/right_foot_heading": "direction of the right toes, from the moving frame [rad]",
     "filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s], limited in rate",
+    "plan/filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s] of the plan",
     "odometry/path_error": "estimated distance from the moving frame's origin [m]",
     "last_action": "action of the last policy step [rad], same order as the motors",
 }
@@ -281,7 +282,7 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
 
 def _in_all_directions(about: dict[str, Any]) -> bool:
     """True for a policy that walks in all directions."""
-    return "filtered_command" in about.get("observation", ())
+    return any(name.endswith("filtered_command") for name in about.get("observation", ()))
 
 
 def limits(numbers: dict[str, Any]) -> str:

@@ -29,7 +29,7 @@ from aslip.transforms.action import add_delta
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
-from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
+from aslip.transforms.observation import OBSERVATION_TABLE, join_entries, planned_table
 from aslip.transforms.planned import PlannedReference, planned_estimator
 from aslip.transforms.reference import feedforward_target
 
@@ -151,7 +151,8 @@ class Controller(ControllerBase[ControllerState]):
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library = library or GaitLibrary.load()
-        self.observation = tuple(observation or OBSERVATION_TABLE)
+        seen = tuple(observation or OBSERVATION_TABLE)
+        self.observation = planned_table(seen) if plans else seen
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         if estimator is None:
             estimator = planned_estimator() if plans else StateEstimator()

@@ -38,6 +38,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
+from aslip.transforms.observation import planned_table
 from aslip.transforms.planned import planned_estimator
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PLANNED_WEIGHTS
 from aslip.transforms.standing import required_transitions
@@ -142,7 +143,8 @@ def planned_stack(
     """Stack of `directions_stack` in which a planner decides where and when the feet land.
 
     Its `PlannedReference` comes after the estimator, and it has a reward for feet at their planned
-    places. Robots that stop, stand and start follow the library.
+    places. Policies observe the command that the plan amounts to instead of the one given, which
+    stones may not allow. Robots that stop, stand and start follow the library.
 
     Args:
         library: gait library over three commands, with stop and start; the shipped one by default.
@@ -169,19 +171,23 @@ def planned_stack(
             [(source, foot) for foot in feet],
             [("target", foot) for foot in feet],
         ),
-        rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", "speed")]),
+        rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", _FILTERED)]),
     }
     stack = insert_before(stack, "reward", **terms_of(reads))
-    return stack | {"reward": WeightedReward(PLANNED_WEIGHTS)}
+    seen = AssembleObservation(planned_table(DIRECTION_TABLE))
+    return stack | {"observation": seen, "reward": WeightedReward(PLANNED_WEIGHTS)}
 
 
-def course_stack(stack: Stack, courses: Sequence[Course] | np.ndarray) -> Stack:
+def course_stack(
+    stack: Stack, courses: Sequence[Course] | np.ndarray, shown: np.ndarray | None = None
+) -> Stack:
     """Stack of planned footsteps for robots on courses, which they see and are led along.
 
     Args:
         stack: `planned_stack`.
         courses: see `aslip.transforms.RandomCourse`; a robot whose stones are all NaN is on the
             floor.
+        shown: see `RandomCourse`.
 
     Raises:
         UnknownNameError: the stack has no `command`, `command_filter` or `reference`.
@@ -189,5 +195,5 @@ def course_stack(stack: Stack, courses: Sequence[Course] | np.ndarray) -> Stack:
     require_names(stack, ["command"])
     command = cast("VelocityCommand", stack["command"])
     stack = {**stack, "command": CourseCommand(command.library, command.interval)}
-    stack = insert_before(stack, "command_filter", course=RandomCourse(courses))
+    stack = insert_before(stack, "command_filter", course=RandomCourse(courses, shown))
     return insert_before(stack, "reference", seen=SeenStones())

@@ -81,7 +81,8 @@ def _shipped_library(card: Mapping[str, Any]) -> str:
     """Name of the shipped library of a policy's stack."""
     if card["stack"] == "single_reference":
         return "single_reference"
-    return "directions" if "filtered_command" in card["observation"] else "gaits"
+    turns = any(name.endswith("filtered_command") for name in card["observation"])
+    return "directions" if turns else "gaits"
 
 
 def check_policy_library(

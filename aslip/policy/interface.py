@@ -27,6 +27,7 @@ from aslip.transforms import (
     ReferenceInjection,
     StandClock,
 )
+from aslip.transforms.observation import planned_table
 
 
 @on_cpu_in_single
@@ -128,7 +129,11 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
 
 def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
     """First difference between an environment and that of a policy's card; empty for none."""
-    if not only_size and card["observation"] != (shown := entry_names(observation_keys(env))):
+    shown = entry_names(observation_keys(env))
+    if any(isinstance(transform, PlannedReference) for transform in env.transforms):
+        # policies that have never seen a plan follow its command as they do their own
+        card = {**card, "observation": entry_names(planned_table(card["observation"]))}
+    if not only_size and card["observation"] != shown:
         return observation_difference(card["observation"], shown)
     has, size = card["shape"].observation_size, env.observation_spec["observation"].shape[-1]
     if has != size:

@@ -51,6 +51,15 @@ DIRECTION_TABLE: Final[tuple[NestedKey, ...]] = (
 action [rad], with which the policy can tell how strongly the motors pull."""
 
 
+def planned_table(keys: Sequence[NestedKey]) -> tuple[NestedKey, ...]:
+    """Keys of an observation of robots that follow plans.
+
+    The command that a plan amounts to is in the place of the filtered one, which stones may not
+    allow.
+    """
+    return tuple(("plan", key) if key == "filtered_command" else key for key in keys)
+
+
 class AssembleObservation(SeededTransform):
     """Concatenate entries, by default estimate and reference into `observation`.
 

@@ -43,12 +43,13 @@ from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
-    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "speed": 2}
+    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
-of first footholds that stones allow, see `Plan.on_stones`; and the mean velocity of the body over
-all steps, which of robots that do not walk is the command's [m/s]."""
+of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts
+to, the mean velocity of the body over all steps [m/s] and its yaw rate [rad/s]; of robots that do
+not walk it is the command given."""
 
 _MOTORS = ("motor_position", "motor_velocity", "motor_torque")
 _VECTORS = (
@@ -223,7 +224,7 @@ class PlannedReference(SeededTransform):
                 {name: torch.where(walks, value, other[name]) for name, value in own.items()}
                 for own, other in zip((reference, target), others, strict=True)
             )
-            plan["speed"] = torch.where(walks, plan["speed"], command[:, :2])
+            plan["filtered_command"] = torch.where(walks, plan["filtered_command"], command)
             shift = torch.where(walks, shift, 0.0)
             into.set("phase", phase)
         for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
@@ -285,9 +286,12 @@ class PlannedReference(SeededTransform):
             "foothold": plan.foothold[:, 0],
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
-            "speed": (plan.body[0][:, -1] - plan.body[0][:, 0])[:, :2] / plan.time[:, -1:],
         }
-        return mapped(to_single, (now, later, tuple(around), written))
+        found = mapped(to_single, (now, later, tuple(around), written))
+        moved, time = mapped(to_single, (plan.body[0][:, -1] - plan.body[0][:, 0], plan.time))
+        turn = to_single(plan.yaw_rate)
+        found[3]["filtered_command"] = torch.cat([moved[:, :2] / time[:, -1:], turn[:, None]], -1)
+        return found
 
     def _motors(self, later: Any, around: tuple[Any, Any]) -> dict[str, Tensor]:
         """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it."""

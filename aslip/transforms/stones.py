@@ -29,6 +29,8 @@ from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, r
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
 COURSE_KEY: Final = ("stones", "course")
 """Key of the stones (n, s, 6) of simulated robots, by the columns of `aslip.sim.course.STONE`."""
+SHOWN_KEY: Final = ("stones", "shown")
+"""Key of the stones (n, s, 6) that robots see, where these differ from those of the course."""
 _REQUEST_KEY = ("course", "stones")
 SIGHT_NOISE: Final = NoiseLevel(white=0.005, bias=0.01)
 """Standard deviations of a stone's place on each axis [m], ours."""
@@ -52,6 +54,9 @@ class RandomCourse(ChosenAtReset):
 
     Args:
         courses: courses of rectangular stones, or their stones (p, s, 6).
+        shown: stones (p, s, 6) that robots see of each course instead of all there are, written as
+            `("stones", "shown")`: where the ground is larger than shown, robots learn where to step
+            before they can fall.
 
     Raises:
         ConfigurationError: there is no course, or a stone is not a rectangle.
@@ -60,8 +65,11 @@ class RandomCourse(ChosenAtReset):
 
     needs_env = "it places stones at resets"
 
-    def __init__(self, courses: Sequence[Course] | np.ndarray) -> None:
-        super().__init__([], {COURSE_KEY: len(STONE)})
+    def __init__(
+        self, courses: Sequence[Course] | np.ndarray, shown: np.ndarray | None = None
+    ) -> None:
+        keys = [COURSE_KEY] if shown is None else [COURSE_KEY, SHOWN_KEY]
+        super().__init__([], dict.fromkeys(keys, len(STONE)))
         if not isinstance(courses, np.ndarray):
             if any(course.polygons for course in courses):
                 raise ConfigurationError("RandomCourse takes rectangular stones, not polygons")
@@ -74,29 +82,33 @@ class RandomCourse(ChosenAtReset):
             raise ShapeError(f"stones must be (p, s, {len(STONE)}), got {courses.shape}")
         if not courses.size:
             raise ConfigurationError(f"courses must be one or more, got {courses.shape}")
-        self._rows = torch.as_tensor(courses, dtype=torch.float32)
+        if shown is not None and shown.shape != courses.shape:
+            raise ShapeError(f"shown stones must be {courses.shape}, got {shown.shape}")
+        given = [courses] if shown is None else [courses, shown]
+        self._rows = [torch.tensor(stones, dtype=torch.float32) for stones in given]
 
     def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
         given = None if "_reset" in request else request.get(_REQUEST_KEY, None)
         if given is not None:
-            return {COURSE_KEY: given}
-        chosen = torch.randint(len(self._rows), request.batch_size, generator=self.generator)
-        return {COURSE_KEY: self._rows[chosen]}
+            return dict.fromkeys(self._sizes, cast("Tensor", given))
+        chosen = torch.randint(len(self._rows[0]), request.batch_size, generator=self.generator)
+        return {k: rows[chosen] for k, rows in zip(self._sizes, self._rows, strict=True)}
 
     def _accept(self, request: TensorDictBase) -> TensorDictBase:
-        shape, given = (*request.batch_size, *self._rows.shape[1:]), request[COURSE_KEY]
+        shape, given = (*request.batch_size, *self._rows[0].shape[1:]), request[COURSE_KEY]
         if tuple(given.shape) != shape:
             raise ShapeError(f"{COURSE_KEY} must have shape {shape}, got {tuple(given.shape)}")
         stones = given.float()
         return request.set(COURSE_KEY, stones).set(_REQUEST_KEY, stones)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(COURSE_KEY, cast("Tensor", tensordict[COURSE_KEY]))
+        return next_tensordict.update(tensordict.select(*self.out_keys))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the stones."""
-        shape = torch.Size((*observation_spec.shape, *self._rows.shape[1:]))
-        observation_spec[COURSE_KEY] = Unbounded(shape, dtype=torch.float32)
+        shape = torch.Size((*observation_spec.shape, *self._rows[0].shape[1:]))
+        for key in self._sizes:
+            observation_spec[key] = Unbounded(shape, dtype=torch.float32)
         return observation_spec
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
@@ -209,7 +221,7 @@ class SeenStones(SeededTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        stones = cast("Tensor", tensordict_reset[COURSE_KEY])
+        stones = _shown(tensordict_reset)
         return self._see(tensordict_reset, self._normal(stones[..., :3], self._bias))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -218,7 +230,7 @@ class SeenStones(SeededTransform):
     def _see(self, td: TensorDictBase, error: Tensor) -> TensorDictBase:
         """Write stones with an error (n, s, 3) for the episode."""
         truth, seen = (cast("TensorDictBase", td[group]) for group in ("truth", "odometry"))
-        stones = cast("Tensor", td[COURSE_KEY])
+        stones = _shown(td)
         chosen = self._nearest(stones, truth["pelvis_position"], yaw(truth["pelvis_orientation"]))
         shift, stones = (x.take_along_dim(chosen, 1) for x in (error, stones))
         shift = shift + self._normal(shift, self._white)
@@ -258,6 +270,11 @@ class SeenStones(SeededTransform):
             whole = torch.Size((*observation_spec.shape, *shape))
             observation_spec[key] = Unbounded(whole, dtype=torch.float32)
         return observation_spec
+
+
+def _shown(td: TensorDictBase) -> Tensor:
+    """Stones (n, s, 6) that robots see."""
+    return cast("Tensor", td.get(SHOWN_KEY, td[COURSE_KEY]))
 
 
 def _padded(value: Tensor, count: int) -> Tensor:

@@ -15,10 +15,11 @@ from aslip.envs.straight import shipped_library
 from aslip.errors import ConfigurationError
 from aslip.ik import LegTable
 from aslip.planning import Planner, WalkState
-from aslip.policy import load_policy
+from aslip.policy import check_policy_fits, load_policy
 from aslip.robot import SIDES
-from aslip.transforms import PlannedReference, RandomFootsteps, SeededTransform
+from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps, SeededTransform
 from aslip.transforms.base import extend_spec
+from aslip.transforms.observation import join_entries
 from aslip.transforms.planned import _feet, _turned, default_planner
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -176,6 +177,22 @@ def test_true_forces_tell_when_feet_land_without_an_estimator() -> None:
         stances.append(WalkState.from_rows(cast("torch.Tensor", td["plan", "state"])).stance)
     assert (torch.stack(stances).diff(dim=0) != 0).sum(0).min() >= 2
     assert cast("torch.Tensor", td["reference", "motor_target"]).isfinite().all()
+
+
+def test_policies_observe_the_command_of_the_plan() -> None:
+    """Also those that have never seen one; stones decide how fast a plan is."""
+    stack = insert_before(planned_stack(), "reference", stones=OneStone())
+    env = aslip.make_env(num_envs=2, seed=3, stack=stack)
+    check_policy_fits("directions", env)
+    command = torch.tensor([[0.8, 0.0, 0.3]]).expand(2, 3)
+    td = env.reset(TensorDict({"command": command, "stand": torch.zeros(2, 1)}, [2]))
+    followed = cast("torch.Tensor", td["plan", "filtered_command"])
+    place = DIRECTION_TABLE.index("filtered_command")
+    first = join_entries(td, stack["observation"].in_keys[:place]).shape[-1]
+    assert torch.equal(td["observation"][:, first : first + 3], followed)
+    assert (td["filtered_command"][:, 0] > 0.6).all()
+    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
+    torch.testing.assert_close(followed[:, 2], td["filtered_command"][:, 2])
 
 
 def test_a_wrong_share_is_refused() -> None:

@@ -50,6 +50,28 @@ def test_each_reset_draws_a_course_of_which_the_robot_sees_the_nearest_stones() 
     check_env_specs(env)
 
 
+def test_stones_that_are_shown_need_not_be_all_the_ground() -> None:
+    """Robots walk on the course, see what is shown of it, and chosen stones are both."""
+    ground = stairs(0.1, steps=3).stones[None]
+    shown = ground * np.array([1, 1, 1, 1, 0.5, 0.5])
+    course = RandomCourse(ground, shown)
+    stack = insert_before(default_stack(), "start", course=course)
+    stack = insert_before(stack, "observation", stones=SeenStones(noise=NONE))
+    env = aslip.make_env(num_envs=2, seed=1, num_threads=1, stack=stack)
+    td = env.reset()
+    np.testing.assert_array_equal(env.base_env.stones[0], ground[0].astype(np.float32))
+    td = cast("TensorDictBase", env.step(td.set("action", torch.zeros(2, 10)))["next"])
+    corners = cast("Tensor", td["stones", "corners"])[0, : len(ground[0])]
+    size = corners[:, 2] - corners[:, 0]
+    np.testing.assert_allclose(size.norm(dim=1), np.hypot(*shown[0, :, 4:].T), atol=1e-5)
+    chosen = torch.as_tensor(shown, dtype=torch.float32).expand(2, -1, -1)
+    td = env.reset(TensorDict(course=TensorDict(stones=chosen), batch_size=2))
+    np.testing.assert_array_equal(env.base_env.stones, chosen)
+    assert torch.equal(td["stones", "shown"], chosen)
+    with pytest.raises(ShapeError, match=r"must be \(1, 4, 6\), got \(1, 3, 6\)"):
+        RandomCourse(ground, shown[:, 1:])
+
+
 def test_stones_are_seen_from_the_pelvis_wherever_the_estimate_is() -> None:
     """Without noise the place of each corner from pelvis and its yaw is the true one."""
     env = _env(2, count=3, noise=NONE)
