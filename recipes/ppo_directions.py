@@ -23,11 +23,12 @@ if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = training_settings(DIRECTION_PRESETS)
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
 
 import ppo_aslip
+from tensordict.utils import NestedKey
 
 import aslip
 from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, walking_stack
@@ -56,6 +57,7 @@ def main(
     *,
     make_stack: Callable[[aslip.GaitLibrary], Stack] | None = None,
     add_training: Callable[[Stack], Stack] = lambda stack: stack,
+    numbers: Sequence[NestedKey] = (),
     **networks: Any,
 ) -> list[WalkResult]:
     """Train a policy and evaluate it over the region of the library; see `ppo_aslip.main`.
@@ -66,16 +68,18 @@ def main(
         make_stack: function that makes the policy's stack; by default `directions_stack`, or
             `walking_stack` for robots that never stand.
         add_training: function that adds more to the stack for training.
+        numbers: keys of more entries for a privileged critic, see `aslip.policy.privileged_table`.
         networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     if make_stack is None:
         make_stack = directions_stack if config.stand else walking_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
-    robots = partial(aslip.make_env, stack=add_training(training_stack(config, stack)))
+    robots = partial(aslip.make_env, stack=add_training(training_stack(config, stack, numbers)))
     critic = make_critic
     if config.privileged:
-        critic = partial(make_privileged_critic, dynamics=drawn(config), key=PRIVILEGED)
+        known = {"dynamics": drawn(config), "numbers": numbers}
+        critic = partial(make_privileged_critic, **known, key=PRIVILEGED)
     return ppo_aslip.main(
         config,
         partial(aslip.make_env, stack=stack),
@@ -86,7 +90,9 @@ def main(
     )
 
 
-def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
+def training_stack(
+    config: DirectionConfig, stack: Stack, numbers: Sequence[NestedKey] = ()
+) -> Stack:
     """Stack for training.
 
     It differs in rates of the command, and has stand commands, other robots, pushes and entries for
@@ -114,7 +120,8 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
         offsets = EncoderOffsets(config.encoder_offset, share=share, difficulty_key=difficulty)
         stack = insert_before(stack, "estimator", encoders=offsets)
     if config.privileged:
-        seen = AssembleObservation(privileged_table(drawn(config)), out_keys=[PRIVILEGED])
+        table = privileged_table(drawn(config), numbers)
+        seen = AssembleObservation(table, out_keys=[PRIVILEGED])
         stack = insert_before(stack, "action", privileged=seen)
     return stack
 

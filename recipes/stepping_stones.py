@@ -49,8 +49,10 @@ class StonesConfig(DirectionConfig):
     """Mean time between changes of the command in an episode [s]."""
     ramp: float = 0.3
     """Share of the training over which displaced footholds, ranges and pushes grow."""
-    courses: float = 0.5
-    """Share of the episodes on stones."""
+    courses: float = 0.7
+    """Share of the episodes with stones."""
+    supported: float = 0.6
+    """Share of these in which the ground between the stones does not let robots fall."""
     footstep_ahead: float = 0.1
     """Standard deviation of the displacement of footholds ahead [m]."""
     footstep_sideways: float = 0.05
@@ -65,7 +67,7 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        check_range(self, 0, 1, "courses")
+        check_range(self, 0, 1, "courses", "supported")
 
 
 PRESETS = {
@@ -101,6 +103,8 @@ from aslip.walking import WalkResult
 _SPEEDS = (0.6, 1.1)
 # sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3, 0.45), (0.0, 0.5, 1.0), 300, 16, 77
+# width of the ground on which no robot falls into a gap [m]
+_WIDTH = 1.2
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
@@ -119,13 +123,14 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
             planned_stack, planner=default_planner() if config.backend == "warp" else None
         ),
         add_training=partial(add_footsteps, config),
+        numbers=[("plan", "on_stones"), ("plan", "time")],
     )
 
 
 def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     """Stack for training with courses, and with displaced footholds on the floor."""
     if config.courses:
-        stack = course_stack(stack, course_pool(config.courses))
+        stack = course_stack(stack, *course_pool(config.courses, config.supported))
         cast("CourseCommand", stack["command"]).speeds = _SPEEDS
     footsteps = RandomFootsteps(
         config.footstep_ahead,
@@ -135,8 +140,11 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     return insert_before(stack, "reference", footsteps=footsteps)
 
 
-def course_pool(share: float) -> np.ndarray:
-    """Stones (p, s, 6) of random courses, and none at all for the rest of the episodes."""
+def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]:
+    """Stones (p, s, 6) of random courses, and none at all for the rest of the episodes.
+
+    The second array are the stones that robots see. A share of the first reach to the next ones.
+    """
     rng = np.random.default_rng(_SEED)
     courses = [
         random_stones(rng, _EACH, count=_COUNT, size=size, difficulty=difficulty)
@@ -145,7 +153,21 @@ def course_pool(share: float) -> np.ndarray:
     ]
     stones = np.concatenate(courses)
     flat = np.full((round(len(stones) * (1 - share) / share), *stones.shape[1:]), np.nan)
-    return np.concatenate([stones, flat])
+    shown = np.concatenate([stones, flat])
+    ground, widened = shown.copy(), rng.random(len(shown)) < supported
+    ground[widened] = touching(shown[widened])
+    return ground, shown
+
+
+def touching(stones: np.ndarray) -> np.ndarray:
+    """Stones (p, s, 6) of courses straight ahead, wide, and so long that there is no gap."""
+    start, end = stones[..., 0] - stones[..., 4] / 2, stones[..., 0] + stones[..., 4] / 2
+    middle = (start[:, 1:] + end[:, :-1]) / 2
+    start[:, 1:], end[:, :-1] = middle, middle
+    wide = stones.copy()
+    wide[..., 0], wide[..., 4] = (start + end) / 2, end - start
+    wide[..., 5] = np.where(np.isfinite(end), _WIDTH, np.nan)
+    return wide
 
 
 if __name__ == "__main__":

@@ -35,14 +35,18 @@ PRIVILEGED_SIGNS: Final = {
 """Signs of the mirror images of entries that `observation_mirror` does not know."""
 
 
-def privileged_table(dynamics: Sequence[str]) -> tuple[NestedKey, ...]:
+def privileged_table(
+    dynamics: Sequence[str], numbers: Sequence[NestedKey] = ()
+) -> tuple[NestedKey, ...]:
     """Keys of the entries that a privileged critic sees in addition to the observation.
 
     Args:
         dynamics: parameters that `RandomDynamics` draws, by their names.
+        numbers: keys of other entries (n, 1), which do not differ between a motion and its mirror
+            image.
     """
     truth = [("true_odometry", name) for name in PRIVILEGED_SIZES]
-    return (*truth, *(("dynamics", name) for name in dynamics))
+    return (*truth, *(("dynamics", name) for name in dynamics), *numbers)
 
 
 @on_cpu_in_single
@@ -52,33 +56,35 @@ def make_privileged_critic(
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     *,
     dynamics: Sequence[str],
+    numbers: Sequence[NestedKey] = (),
     key: NestedKey = "privileged",
     scale: float = 1.0,
 ) -> ValueOperator:
     """Make a value function: `observation` and privileged entries -> `state_value`.
 
     The critic is asymmetric (Pinto et al. 2018): it is used in training only, so it may observe
-    quantities that the policy must infer. Its privileged entry, which
-    `AssembleObservation(privileged_table(dynamics), out_keys=[key])` writes, has a normaliser of
-    its own.
+    quantities that the policy must infer. Its privileged entry has a normaliser of its own;
+    `AssembleObservation(privileged_table(dynamics, numbers), out_keys=[key])` writes it.
 
     Args:
         normalizer: normaliser of the observation, shared with the actor.
         shape: shape of the network, as for the actor.
         observation: keys of the observation's entries, as for the actor.
         dynamics: parameters that `RandomDynamics` draws, by their names.
+        numbers: as for `privileged_table`.
         key: key of the privileged entries.
         scale: factor on the network's output.
     """
     shape = shape or PolicyShape()
-    table = privileged_table(dynamics)
-    size = sum(PRIVILEGED_SIZES.values()) + len(dynamics)
+    table = privileged_table(dynamics, numbers)
+    size = sum(PRIVILEGED_SIZES.values()) + len(dynamics) + len(numbers)
     net = perceptron(shape.observation_size + size, 1, shape.hidden)
     parts = _Normalised(normalizer, RunningNormalizer(size, key=key))
     value: nn.Module = nn.Sequential(parts, net, Scaled(scale))
     if shape.symmetric:
         # the mirror image of a parameter of the dynamics is the parameter itself
-        signs = {**PRIVILEGED_SIGNS, **dict.fromkeys(dynamics, (1.0,)), **shape.mirror_signs}
+        kept = [*dynamics, *(key if isinstance(key, str) else str(key[-1]) for key in numbers)]
+        signs = {**PRIVILEGED_SIGNS, **dict.fromkeys(kept, (1.0,)), **shape.mirror_signs}
         value = Symmetrised(value, observation_mirror([*observation, *table], signs))
     return ValueOperator(_Joined(value), in_keys=["observation", key])
 

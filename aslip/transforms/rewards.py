@@ -61,16 +61,16 @@ are new."""
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
         "com_vel": 0.08,
-        "foot_pos": 0.1,
+        "foot_pos": 0.05,
         "path_diff": 0.07,
         "heading_diff": 0.1,
         "foot_orient": 0.05,
         "action_diff": 0.05,
-        "power": 0.06,
-        "landing": 0.09,
+        "power": 0.05,
+        "landing": 0.07,
         "squeeze": 0.05,
-        "feet_apart": 0.2,
-        "speed_diff": 0.15,
+        "feet_apart": 0.3,
+        "speed_diff": 0.13,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -287,7 +287,7 @@ def feet_apart(
     right_foot_position: Tensor,
     left_reference: Tensor,
     right_reference: Tensor,
-    scale: float = 0.05,
+    scale: float = 0.04,
 ) -> Tensor:
     r""":math:`\exp(-\|(l - r) - (\hat l - \hat r)\| / s)`, one foot relative to the other.
 
@@ -305,7 +305,7 @@ def feet_apart(
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
 
 
-def speed_diff(pelvis_velocity: Tensor, speed: Tensor, scale: float = 0.3) -> Tensor:
+def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:
     r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the plan's mean.
 
     A plan goes on from where the robot is, so that one which is slower than commanded would hardly
@@ -313,8 +313,8 @@ def speed_diff(pelvis_velocity: Tensor, speed: Tensor, scale: float = 0.3) -> Te
 
     Args:
         pelvis_velocity: (*b, 3) [m/s, heading frame].
-        speed: (*b, 2) mean velocity of the body over all steps of the plan, of which only these two
-            numbers count [m/s, heading frame].
+        command: (*b, 2 or 3) mean velocity of the body over all steps of the plan [m/s, heading
+            frame]; a yaw rate after it does not count.
         scale: difference s at which the term is 1/e [m/s].
     """
-    return torch.exp(-_norm(pelvis_velocity[..., :2] - speed[..., :2]) / scale)
+    return torch.exp(-_norm(pelvis_velocity[..., :2] - command[..., :2]) / scale)

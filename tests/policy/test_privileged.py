@@ -1,5 +1,7 @@
 """The critic sees truth and dynamics, and is as symmetric as the robot."""
 
+from typing import Any
+
 import torch
 from tensordict import TensorDict
 
@@ -28,10 +30,11 @@ def _data(num: int = 5) -> TensorDict:
 
 
 def test_a_value_depends_on_privileged_entries_but_not_on_the_side() -> None:
-    shape, names = PolicyShape(symmetric=True), ["slope", "mass"]
-    critic = make_privileged_critic(RunningNormalizer(64), shape, dynamics=names, scale=10.0)
-    data, table = _data(), (*OBSERVATION_TABLE, *privileged_table(names))
-    signs = {**PRIVILEGED_SIGNS, "slope": (1.0,), "mass": (1.0,)}
+    shape, names = PolicyShape(symmetric=True), ["slope", "time"]
+    known: Any = {"dynamics": names[:1], "numbers": [("plan", names[1])]}
+    critic = make_privileged_critic(RunningNormalizer(64), shape, **known, scale=10.0)
+    data, table = _data(), (*OBSERVATION_TABLE, *privileged_table(**known))
+    signs = {**PRIVILEGED_SIGNS, **dict.fromkeys(names, (1.0,))}
     mirror = observation_mirror(table, signs)
     image = mirror(torch.cat([data["observation"], data["privileged"]], dim=-1)).split(SIZES, -1)
     mirrored = TensorDict(dict(zip(data.keys(), image, strict=True)), batch_size=5)

@@ -44,5 +44,18 @@ def test_a_policy_walks_over_a_course_of_ones_own(
 
 
 def test_courses_are_of_a_share_of_the_episodes() -> None:
-    pool = stepping_stones.course_pool(0.25)
-    assert np.isnan(pool[:, 0, 0]).mean() == pytest.approx(0.75)
+    ground, shown = stepping_stones.course_pool(0.25, 1.0)
+    assert np.isnan(ground[:, 0, 0]).mean() == pytest.approx(0.75)
+    assert np.array_equal(np.isnan(ground), np.isnan(shown))
+
+
+def test_on_a_share_of_them_no_robot_falls_into_a_gap() -> None:
+    """The ground reaches from stone to stone, at the height of the nearest one."""
+    ground, shown = stepping_stones.course_pool(1.0, 0.4)
+    widened = (ground != shown).any((1, 2))
+    assert widened.mean() == pytest.approx(0.4, abs=0.05)
+    edges = ground[widened][..., :1] + ground[widened][..., 4:5] * np.array([-0.5, 0.5])
+    np.testing.assert_allclose(edges[:, 1:, 0], edges[:, :-1, 1], atol=1e-12)
+    assert np.array_equal(ground[..., 2], shown[..., 2])
+    middle = shown[widened][..., 0]
+    assert ((edges[..., 0] < middle) & (middle < edges[..., 1])).all()

@@ -191,7 +191,7 @@ def test_scales_of_terms_are_arguments() -> None:
     cases: list[tuple[Any, float, list[torch.Tensor]]] = [
         (rewards.power, 0.4, [torch.full((1, 10), 20.0), torch.zeros(1, 3)]),
         (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
-        (rewards.feet_apart, 0.05, [one + 0.03, one, one, one]),
+        (rewards.feet_apart, 0.04, [one + 0.03, one, one, one]),
         (rewards.speed_diff, 0.3, [one, 1.2 * one]),
         (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
     ]
