@@ -31,15 +31,15 @@ class Limits:
 
     length: Range = (-0.5, 0.75)
     """Step ahead, from foot to foot [m]."""
-    width: Range = (0.15, 0.5)
+    width: Range = (0.1, 0.5)
     """Step outward, from foot to foot [m]; less than 0 would cross the legs."""
     reach: Range = (-0.5, 0.5)
     """Foot ahead of the body at touchdown [m]."""
     outward: Range = (-0.1, 0.4)
     """Foot outward of the body at touchdown [m]."""
-    pressure: float = 0.05
+    pressure: float = 0.06
     """Centre of pressure ahead of the middle of a foot that stands on a stone, or behind [m]."""
-    step_time: Range = (0.3, 0.6)
+    step_time: Range = (0.25, 0.7)
     """Time between touchdowns [s]."""
     foot_speed: float = 3.5
     """Mean speed of the swing foot until touchdown, relative to the body [m/s]."""
@@ -49,9 +49,9 @@ class Limits:
     """Difference in height of successive footholds [m]."""
     clearance: float = 0.12
     """Height of the swing foot above the higher foothold, at half swing [m]."""
-    half_foot: float = 0.08
-    """Half the length of a foot that shall stand on a stone [m]."""
-    margin: float = 0.03
+    half_foot: float = 0.05
+    """Half the length of that part of a foot that shall stand on a stone [m]."""
+    margin: float = 0.05
     """Distance that it keeps to the edges of stones [m]."""
     reserve: float = 0.15
     """Share of what is left of a stone that each later step does not use, either [-]: plans that
@@ -71,17 +71,17 @@ class Limits:
 class Weights:
     """Weights of squares in the cost."""
 
-    time: float = 4.0
+    time: float = 10.0
     """Touchdown sooner or later than nominal [1/s^2]."""
-    step: float = 1.0
+    step: float = 3.0
     """Steps other than the command's [1/m^2]."""
-    offset: float = 1.0
+    offset: float = 3.0
     """Offsets of the divergent component other than the command's [1/m^2]."""
     last: float = 100.0
     """The last of these offsets [1/m^2]: what comes after it depends on it alone."""
-    pressure: float = 1.0
+    pressure: float = 3.0
     """Centre of pressure ahead of the middle of the foot, or behind [1/m^2]."""
-    stay: float = 1.0
+    stay: float = 0.5
     """A foothold whose stone ends half a step of the command behind where the command would be [-];
     without it, where stones are far apart, a robot would rather step in place than fast."""
     change: float = 10.0
