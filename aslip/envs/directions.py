@@ -171,6 +171,7 @@ def planned_stack(
             [(source, foot) for foot in feet],
             [("target", foot) for foot in feet],
         ),
+        rewards.level: ([(source, "pelvis_orientation")], []),
         rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", _FILTERED)]),
     }
     stack = insert_before(stack, "reward", **terms_of(reads))

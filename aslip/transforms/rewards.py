@@ -63,14 +63,15 @@ PLANNED_WEIGHTS: Final = MappingProxyType(
         "com_vel": 0.08,
         "foot_pos": 0.05,
         "path_diff": 0.07,
-        "heading_diff": 0.1,
+        "heading_diff": 0.08,
+        "level": 0.08,
         "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.05,
         "landing": 0.07,
-        "squeeze": 0.05,
+        "squeeze": 0.03,
         "feet_apart": 0.3,
-        "speed_diff": 0.13,
+        "speed_diff": 0.09,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -303,6 +304,19 @@ def feet_apart(
     """
     apart = left_foot_position - right_foot_position
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
+
+
+def level(pelvis_orientation: Tensor, scale: float = 0.1) -> Tensor:
+    r""":math:`\exp(-\sin\alpha / s)`, :math:`\alpha` the tilt of the pelvis.
+
+    The motor angles of a plan are those of a level pelvis: 7° of roll move a foot by 10 cm. Ours.
+
+    Args:
+        pelvis_orientation: (*b, 4) wxyz, pelvis to world.
+        scale: sine s of the tilt at which the term is 1/e.
+    """
+    up = pelvis_orientation.new_tensor([0.0, 0.0, 1.0]).expand(*pelvis_orientation.shape[:-1], 3)
+    return torch.exp(-_norm(rotate_inverse(pelvis_orientation, up)[..., :2]) / scale)
 
 
 def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:

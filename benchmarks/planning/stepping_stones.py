@@ -1,4 +1,4 @@
-"""Walks over courses of stones: random ones by difficulty, and the eight patterns.
+"""Walks over courses of stones: random ones by difficulty, the eight patterns, and stairs.
 
     python -m benchmarks.planning.stepping_stones
 
@@ -31,8 +31,10 @@ class Config(Directions):
         "straight", "narrow", "wide", "zigzag", "alternating", "up", "down", "mixed",
     )  # fmt: skip
     """Patterns of courses, see `aslip.sim.course.PATTERNS`."""
+    stairs: tuple[float, ...] = (0.1, -0.1, 0.15, -0.15)
+    """Heights of the steps of stairs [m]; negative ones lead down."""
     trials: int = 100
-    """Walks of each difficulty and pattern."""
+    """Walks of each kind of course."""
     count: int = 20
     """Stones between the platforms."""
     size: float = 0.2
@@ -66,7 +68,7 @@ from aslip.envs import StackEnv
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.rotation import rotate_level, yaw
 from aslip.show.palette import ROBOT
-from aslip.sim.course import ground_height, pattern, random_stones, stone_distances
+from aslip.sim.course import ground_height, pattern, random_stones, stairs, stone_distances
 from aslip.transforms import RandomCourse, SeenStones
 from aslip.transforms.stones import along_course
 from aslip.walking import next_start
@@ -106,6 +108,9 @@ def courses_of(config: Config) -> dict[str, np.ndarray]:
     }
     for name in config.patterns:
         courses[name] = np.repeat(pattern(name, **shape).stones[None], config.trials, 0)
+    for rise in config.stairs:
+        flight = stairs(rise, steps=config.count + 1).stones
+        courses[f"stairs {rise:+g} m"] = np.repeat(flight[None], config.trials, 0)
     return courses
 
 
@@ -244,11 +249,11 @@ COLUMNS = {
         f"{1e3 * row['late']:.0f}" if row["touchdowns"] else "-"
     ),
 }
-"""Columns of the table: random courses by difficulty, then patterns."""
+"""Columns of the table: random courses by difficulty, then patterns and stairs."""
 
 
 def picture(config: Config, rows: list[dict[str, Any]]) -> Figure:
-    """Draw success and distances over difficulty, and success over the patterns."""
+    """Draw success and distances over difficulty, and success on the other courses."""
     figure = Figure(figsize=(11, 3.2), layout="constrained")
     panels = figure.subplots(1, 3)
     mean, low, high = (100 * np.array([row[k] for row in rows]) for k in ("mean", "low", "high"))

@@ -271,3 +271,10 @@ def test_toes_are_compared_with_those_of_the_reference() -> None:
     assert rewards.foot_orient(toes, LEVEL, angle, 0 * angle).item() == pytest.approx(1)
     swapped = rewards.foot_orient(toes, LEVEL, 0 * angle, angle)
     assert swapped.item() == pytest.approx(math.exp(-4 * math.sin(0.075)), abs=1e-5)
+
+
+def test_a_level_pelvis_is_one_with_its_axis_up() -> None:
+    yaw, roll = _about((0, 0, 1), 1.0), _about((1, 0, 0), -0.1)
+    both = torch.stack([yaw, multiply(yaw, roll)])
+    found = rewards.level(both)[:, 0]
+    torch.testing.assert_close(found, torch.tensor([1.0, math.exp(-math.sin(0.1) / 0.1)]))
