@@ -20,7 +20,8 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.log.reader import Recording
 from aslip.log.writer import HASH_KEY
 from aslip.robot import CASSIE
-from aslip.robot.model import load_model
+from aslip.robot.model import STONE_GEOM, ground_geoms, load_model
+from aslip.sim.course import MOST_STONES
 
 MODEL_FILE: Final = "model.xml"
 SETTINGS_FILE: Final = "model.json"
@@ -46,12 +47,14 @@ def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
             "memory": int(model.actuator_history[0, 0]),
             "floor_friction": float(model.geom("floor").friction[0]),
         }
+        if stones := len(ground_geoms(model, STONE_GEOM)):
+            settings["stones"] = stones
         if model_digest(load_model(**settings)) == digest:
             files = {SETTINGS_FILE: json.dumps(settings, indent=1).encode()}
             return {MODEL_FILE: CASSIE.mjcf.read_bytes(), **files}
     raise ConfigurationError(
         f"cannot log this model, which differs from {CASSIE.mjcf.name}; change robots by"
-        " set_dynamics or RandomDynamics"
+        " set_dynamics or RandomDynamics, and use rectangular stones only"
     )
 
 
@@ -75,6 +78,8 @@ def thaw_model(
             settings["memory"] = memory
         if settings["memory"] not in range(1, LONGEST_MEMORY + 1):
             raise ValueError(f"memory must be from 1 to {LONGEST_MEMORY} commands, got {settings}")
+        if settings.get("stones", 0) not in range(MOST_STONES + 1):
+            raise ValueError(f"stones must be up to {MOST_STONES}, got {settings}")
         return load_model(**settings, robot=replace(CASSIE, model_file=path))
     except (KeyError, TypeError, RecursionError, ValueError) as error:
         reason = str(error) if isinstance(error, AslipError) else f"{type(error).__name__}: {error}"

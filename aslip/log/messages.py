@@ -13,6 +13,8 @@
 | `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: inputs of the step |
 | | | in all directions also `filtered_command`; of robots that stand also `stand` and `mode` |
 | | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: its outcome |
+| `/plan` | 33 Hz | of a planner: `aslip.transforms.planned.PLAN_SIZES`, without its state |
+| `/stones` | 1 Hz, changes | stones by the columns of `aslip.sim.course.STONE`, NaN where is none |
 | `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |
 | `/dynamics` | 1 Hz, changes | parameters of `aslip.sim.DYNAMICS`, and motors' `memory` |

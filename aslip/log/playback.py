@@ -22,9 +22,11 @@ from aslip.log.messages import MEMORY
 from aslip.log.reader import Recording, Series, read
 from aslip.robot import CASSIE
 from aslip.sim import DYNAMICS, Dynamics, Simulations
+from aslip.sim.course import STONE
 from aslip.sim.dynamics import with_memory_of
+from aslip.sim.stones import PlacedStones
 
-TOPICS = ("/step", "/state", "/dynamics")
+TOPICS = ("/step", "/state", "/dynamics", "/stones")
 """Topics that a replay reads."""
 
 _ONE = np.zeros(1, dtype=int)
@@ -192,6 +194,8 @@ class ReplayedRobot:
         self._memory = self._shortest = int(self.model.actuator_history[0, 0])
         self._changes = _changes(recording["/dynamics"])
         self._dynamics = Dynamics(1, self.model)
+        self._stones = PlacedStones(1, self.model)
+        self._courses = _courses(recording.series.get("/stones"))
         self._simulations = Simulations(1, model=self.model, num_threads=1)
         self._size = self._simulations.states().shape[1]
 
@@ -220,6 +224,11 @@ class ReplayedRobot:
                 f"/dynamics at {tick * CASSIE.policy_period:g} s: {error}"
             ) from error
         self._simulations.write_fields(_ONE, fields)
+        if self._courses:
+            self._stones.place_rows(
+                _ONE, self._courses[max(at for at in self._courses if at <= tick)]
+            )
+            self._simulations.write_fields(_ONE, self._stones.fields(_ONE))
 
     def set_state(self, row: np.ndarray) -> None:
         """Set a logged state."""
@@ -264,6 +273,8 @@ class ReplayedRobot:
         model = self._thaw(memory)
         self._simulations = Simulations(1, model=model, num_threads=1)
         self._simulations.write_fields(_ONE, self._dynamics.fields(_ONE))
+        if self._courses:
+            self._simulations.write_fields(_ONE, self._stones.fields(_ONE))
         self._simulations.set_states(states)
         self._memory = memory
 
@@ -273,6 +284,14 @@ class ReplayedRobot:
             return states
         models = (self._thaw(number) for number in (memory, to))
         return with_memory_of(states, *models)
+
+
+def _courses(series: Series | None) -> dict[int, np.ndarray]:
+    """Policy step -> stones (1, s, 6) that there are from then on."""
+    if series is None:
+        return {}
+    rows = np.stack([series[name] for name in STONE], -1)[:, None]
+    return dict(zip(map(int, series.ticks), rows, strict=True))
 
 
 def _changes(series: Series) -> dict[int, dict[str, float]]:

@@ -8,8 +8,10 @@ from typing import Any, Literal, cast
 import mujoco
 import numpy as np
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from aslip.envs import SimulatedEnv
+from aslip.errors import ConfigurationError
 from aslip.library.footholds import Footholds
 from aslip.log import messages
 from aslip.log.bodies import LoggedKinematics, robot_description
@@ -22,9 +24,12 @@ from aslip.log.template import (
     transforms_template,
 )
 from aslip.log.writer import LogWriter
+from aslip.planning import WalkState
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
+from aslip.sim.course import STONE
+from aslip.transforms.plan_state import foothold_in_world
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
@@ -46,7 +51,7 @@ _TRUTH = (
 
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # groups of the tensordict that are topics of named numbers
-_GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
+_GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference", "plan")
 # `filtered_command` in stacks for all directions only, stand command and mode in those that stand
 _CLOCK = ("phase", "command", "filtered_command", "stand", "mode")
 # inputs of a step
@@ -63,7 +68,11 @@ _START = {"faults": "fault"}
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _SPRINGS = ("spring_stiffness", "joint_damping")
 # not logged: internals of the filter, and functions of phase and command
-_UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
+_UNLOGGED = {
+    "estimate": {"memory"},
+    "reference": {"motor_velocity", "motor_torque"},
+    "plan": {"state"},
+}
 
 Row = dict[str, np.ndarray]
 """Entries of one robot in a part of the tensordict."""
@@ -164,6 +173,10 @@ class Session:
             self._flat["observation"] = _Entries(
                 writer, "/observation", row, single, names=observed
             )
+        self._stones = base.stones[robot]
+        self._most, self._stones_topic = len(self._stones), None
+        if self._most:
+            self._stones_topic = FlatTopic(writer, "/stones", STONE, length=self._most)
         self._dynamics_topic = _Entries(writer, "/dynamics", self._dynamics_row(), np.float64)
         self._step_topic: _Entries | None = None
 
@@ -201,7 +214,7 @@ class Session:
             self._joint_states(rows["truth"])
         self._place(rows)
         self._instant(rows)
-        self._touchdowns(before, rows["truth"])
+        self._touchdowns(before, rows["truth"], self._planned(td))
         self._write_step(before, after, rows["truth"])
         done = bool(after.get("done")[self._robot])
         if done:
@@ -290,7 +303,8 @@ class Session:
             self._state = state_template(integration, len(state) - integration)
         data = self._state.encode(self._time, values)
         self._writer.write(self._state_channel, self._time, data)
-        self._dynamics = {}  # written again, so that no state depends on an earlier chunk
+        # written again, so that no state depends on an earlier chunk
+        self._dynamics, self._stones = {}, np.zeros((0, len(STONE)))
         self._note_change()
         self._writer.flush()
 
@@ -300,7 +314,17 @@ class Session:
         return row | {messages.MEMORY: self._base.model.actuator_history[0, :1].astype(float)}
 
     def _note_change(self) -> None:
-        """Write `/dynamics` if they have changed since the last policy step."""
+        """Write `/dynamics` and `/stones` if they have changed since the last policy step."""
+        if self._stones_topic is not None:
+            stones = self._base.stones[self._robot]
+            if len(stones) != self._most:
+                raise ConfigurationError(
+                    f"this log is of courses of up to {self._most} stones, got {len(stones)}; set"
+                    " the longest course before it begins"
+                )
+            if not np.array_equal(stones, self._stones, equal_nan=True):
+                self._stones = stones
+                self._stones_topic.write(self._time, stones.ravel("F"))
         if self._dynamics and not self._base.altered:
             return
         row = self._dynamics_row()
@@ -310,8 +334,8 @@ class Session:
             self._kinematics.scale(stiffness, damping)
             self._dynamics_topic.write(self._time, row)
 
-    def _touchdowns(self, before: Row, truth: Row) -> None:
-        """Write `/touchdown` for feet that have just landed."""
+    def _touchdowns(self, before: Row, truth: Row, planned: Row | None) -> None:
+        """Write `/touchdown` for feet that have just landed, with footholds of a plan, or gaits."""
         for i, force in enumerate(truth["ground_force"][:, 2].tolist()):
             airborne = self._airborne[i]
             self._airborne[i] = 0 if force > CONTACT_FORCE else airborne + 1
@@ -321,14 +345,27 @@ class Session:
             foot, stance = (truth[f"{name}_foot_position"].astype(float) for name in (side, other))
             command = before.get("filtered_command", before["command"])
             speed = float(command[0])
-            planned = np.full(2, np.nan)
-            if self._footholds is not None:
-                planned = self._footholds.planned(
+            place = np.full(2, np.nan)
+            if planned is not None:
+                place = planned.get(side, place)
+            elif self._footholds is not None:
+                place = self._footholds.planned(
                     side, command.tolist(), stance, truth["pelvis_orientation"]
                 )
-            values = {"side": i, "x": foot[0], "y": foot[1], "x_planned": planned[0]}
-            values |= {"y_planned": planned[1], "speed": speed}
+            values = {"side": i, "x": foot[0], "y": foot[1], "x_planned": place[0]}
+            values |= {"y_planned": place[1], "speed": speed}
             self._event("/touchdown", values)
+
+    def _planned(self, td: TensorDictBase) -> Row | None:
+        """Foot in swing -> its foothold (2,) in the world; None without a planner."""
+        if "plan" not in td:
+            return None
+        one = cast("TensorDictBase", td[self._robot : self._robot + 1])
+        led = WalkState.from_rows(cast("Tensor", one["plan", "state"]))
+        # the plan may land within this policy step
+        lands = cast("Tensor", one["plan", "time"])[0, 0] <= CASSIE.policy_period
+        side = SIDES[int(led.stance[0]) ^ (not lands)]
+        return {side: foothold_in_world(one)[0].double().numpy()}
 
     def _joint_states(self, truth: Row) -> None:
         """Write the joints of this instant."""

@@ -15,7 +15,7 @@ from aslip.library.transitions import HALF
 from aslip.planning import WalkState
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.path import wrap
-from aslip.transforms.rotation import rotate_about_vertical
+from aslip.transforms.rotation import rotate_about_vertical, yaw
 
 ODOMETRY = ("pelvis_position", "pelvis_velocity", *(f"{side}_foot_position" for side in SIDES))
 """Entries of the odometry that plans follow."""
@@ -136,6 +136,14 @@ def landed(
         stance=torch.where(now, 1 - led.stance, led.stance),
         since=torch.where(now, 0.0, led.since),
     )
+
+
+def foothold_in_world(found: TensorDictBase) -> Tensor:
+    """Next foothold (n, 2), as far from the true pelvis as a plan has it from the estimated [m]."""
+    truth, odometry = (cast("TensorDictBase", found[group]) for group in ("truth", "odometry"))
+    place = cast("Tensor", found["plan", "foothold"]) - odometry["pelvis_position"]
+    turn = yaw(truth["pelvis_orientation"]) - yaw(odometry["pelvis_orientation"])
+    return (truth["pelvis_position"] + rotate_about_vertical(place, turn))[:, :2]
 
 
 def heading_of(found: TensorDictBase) -> Tensor:

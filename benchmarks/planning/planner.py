@@ -118,7 +118,7 @@ def search(planner: Planner, case: Case) -> StoneSearch:
 def brute_force(planner: Planner, case: Case) -> float:
     """Least cost over all sequences of stones; infinite if none is possible."""
     found = search(planner, case)
-    sequences = itertools.product(found.kept, repeat=planner.program.steps)
+    sequences = itertools.product(found.kept.tolist(), repeat=planner.program.steps)
     return min((found.cost(sequence) for sequence in sequences), default=np.inf)
 
 
