@@ -32,9 +32,6 @@ class Planner:
 
     def __init__(self, program: Program | None = None) -> None:
         self.program = program or Program()
-        steps = self.program.steps
-        self._hessian = np.zeros((2 + 2 * steps, 2 + 2 * steps))
-        self._hessian[1:-1, 1:-1] = 2 * np.kron(self.program.matrix, np.eye(2))
 
     def plan(
         self,
@@ -96,8 +93,7 @@ class Planner:
     def programs(self, problem: Problem, *, on_stones: bool) -> Programs:
         """Programs with the robot's limits: speed of the foot, centre of pressure, steps, reach."""
         program, num = self.program, len(problem.shift)
-        limits, steps, errors = program.limits, program.steps, program.errors(problem)
-        by_pressure = program.by_pressure(problem)
+        limits, steps, by_pressure = program.limits, program.steps, program.by_pressure(problem)
         speed, fastest = self._speed(problem)
         count = speed.shape[1]
         matrix = np.zeros((num, count + 1 + 4 * steps, 2 + 2 * steps))
@@ -127,32 +123,31 @@ class Planner:
         for bound, end in ((low, 0), (high, 1)):
             bound[:, 1 + count : 1 + count + 2 * steps] = np.tile(box[:, end], steps)
             bound[:, 1 + count + 2 * steps :] = np.tile(reach[:, end], steps) - along[..., 2]
-        cost = self._objective(problem, errors, by_pressure[0])
-        return Programs(*cost, matrix, low, high)
+        return Programs(*self._objective(problem, by_pressure[0]), matrix, low, high)
 
     def _objective(
-        self, problem: Problem, errors: tuple[np.ndarray, np.ndarray], pressed: np.ndarray
+        self, problem: Problem, pressed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Matrix, vector and constant of the cost, see `Programs`.
 
         Args:
             problem: programs.
-            errors: see `Program.errors`.
             pressed: the first of `Program.by_pressure`.
         """
-        program, (error, rate) = self.program, errors
-        bend, cross, slope, slopes, constant = program.cost(problem, errors)
-        num, weighed = len(bend), 2 * program.weight[:, None] * pressed
-        hessian = np.tile(self._hessian, (num, 1, 1))
-        hessian[:, 0, 0] = bend
-        hessian[:, 0, 1:-1] = hessian[:, 1:-1, 0] = cross.reshape(num, -1)
-        hessian[:, -1, -1] = 2 * program.weights.pressure + (weighed * pressed).sum((1, 2))
-        hessian[:, 0, -1] = hessian[:, -1, 0] = (weighed * rate).sum((1, 2))
-        across = (program.error.T @ weighed).reshape(num, -1)
-        hessian[:, -1, 1:-1] = hessian[:, 1:-1, -1] = across
-        last = (weighed * error).sum((1, 2))
-        vector = np.concatenate([slope[:, None], slopes.reshape(num, -1), last[:, None]], 1)
-        return hessian, vector, constant
+        program, weights, steps = self.program, self.program.weights, self.program.steps
+        error, rate = (one.reshape(len(one), -1, 1) for one in program.errors(problem))
+        weight = 2 * np.repeat(program.weight, 2)
+        by_steps = np.broadcast_to(
+            np.kron(program.error, np.eye(2)), (len(error), *[2 * steps] * 2)
+        )
+        by = np.concatenate([rate, by_steps, pressed.reshape(len(error), -1, 1)], -1)
+        weighed = (weight[:, None] * by).swapaxes(1, 2)
+        own = [weights.time, *[weights.step] * (2 * steps), weights.pressure]
+        vector = (weighed @ error)[..., 0]
+        vector[:, 1:-1] -= 2 * weights.step * problem.step.reshape(len(error), -1)
+        constant = (weight * error[..., 0] ** 2).sum(-1) / 2
+        constant += weights.step * (problem.step**2).sum((1, 2))
+        return weighed @ by + 2 * np.diag(own), vector, constant
 
     def _speed(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         """Rows (n, r, 3) for t and the first step, and their upper bounds (n, r)."""

@@ -206,20 +206,14 @@ class Program:
         offset = frame * (mean[:, None] + side * sway[:, None])
         return xp.stack([step.real, step.imag], -1), xp.stack([offset.real, offset.imag], -1)
 
-    def cost(
-        self, problem: Problem, errors: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    def cost(self, problem: Problem) -> tuple[Array, Array, Array, Array, Array]:
         """Cost of t and the steps d: a t^2 / 2 + t b' d + d' M d + f t + g' d + constant.
-
-        Args:
-            problem: programs.
-            errors: what `errors` gives for them, if known.
 
         Returns:
             a (n,), b (n, N, 2), f (n,), g (n, N, 2) and the constant (n,); M is `matrix`.
         """
         matrix, weight = like(self.error, problem.growth), like(self.weight, problem.growth)
-        error, rate = errors or self.errors(problem)
+        error, rate = self.errors(problem)
         weighed = weight[:, None] * error
         bend = 2 * self.weights.time + 2 * (weight[:, None] * rate**2).sum((-2, -1))
         cross = 2 * matrix.T @ (weight[:, None] * rate)
