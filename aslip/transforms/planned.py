@@ -41,6 +41,7 @@ from aslip.transforms.plan_state import (
 )
 from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
+from aslip.transforms.swing_foot import SOLES, Pelvis, in_flight
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
     {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
@@ -123,6 +124,7 @@ class PlannedReference(SeededTransform):
     ) -> None:
         keys: list[NestedKey] = [command_key, "phase", *(("mode", "stand") if stands else ())]
         keys += [("odometry", name) for name in (*ODOMETRY_SIZES, *PATH_SIZES)]
+        keys += [("estimate", "angular_velocity")]
         super().__init__(keys, ["reference", "target", "plan"])
         self.library, self.legs = library, LegTable()
         self.planner = default_planner() if planner is None else planner
@@ -211,7 +213,8 @@ class PlannedReference(SeededTransform):
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
         turn = later.heading.angle
-        reference = _entries_of(now, 0 * turn) | self._motors(later, around)
+        pelvis = Pelvis.expected(into, now.body.position, shift)
+        reference = _entries_of(now, 0 * turn) | self._motors(later, around, pelvis)
         target = _entries_of(later, turn)
         if self._stands:
             command, phase = (cast("Tensor", into[key]) for key in (self._command_key, "phase"))
@@ -293,15 +296,25 @@ class PlannedReference(SeededTransform):
         found[3]["filtered_command"] = torch.cat([moved[:, :2] / time[:, -1:], turn[:, None]], -1)
         return found
 
-    def _motors(self, later: Any, around: tuple[Any, Any]) -> dict[str, Tensor]:
-        """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it."""
+    def _motors(self, later: Any, around: tuple[Any, Any], pelvis: Pelvis) -> dict[str, Tensor]:
+        """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it.
+
+        A foot in flight goes to its foothold from where the pelvis is, however that leans; the
+        other legs are those of the plan, which hold the pelvis level.
+        """
         before, after = around
         samples = before, later, after
         yaw, rate = (
             torch.stack(values)[..., None]
             for values in zip(*((s.heading.angle, s.heading.rate) for s in samples), strict=True)
         )
-        places = [_feet(sample) for sample in samples]
+        share = in_flight(later, self.planner.program.pendulum.double_stance)
+        level = [_feet(sample) for sample in samples]
+        seen = [pelvis.sees(s, s.heading.angle - later.heading.angle) for s in samples]
+        places = [
+            (torch.lerp(one[0], own[0], share[..., None]), torch.lerp(one[1], own[1], share))
+            for one, own in zip(level, seen, strict=True)
+        ]
         position, heading = (torch.stack(values) for values in zip(*places, strict=True))
         x, y, _ = position.unbind(-1)
         moves = [sample.feet.velocity - sample.body.velocity[:, None] for sample in samples]
@@ -319,7 +332,9 @@ class PlannedReference(SeededTransform):
         pushed = force.sum(1) / pendulum.mass - weight
         torque = self.legs.torque(*places[1], force)
         torque = torque + self.legs.inertial_torque(angle[1], velocity, acceleration, pushed)
-        return dict(zip(_MOTORS, (angle[1], velocity, torque), strict=True))
+        turned = angle[1].clone()
+        turned[:, SOLES] += share * pelvis.pitch
+        return dict(zip(_MOTORS, (turned, velocity, torque), strict=True))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and target, and the plan."""
