@@ -29,7 +29,7 @@ class Config:
     """Standard deviations of the noise on each axis [m/s, m]."""
     courses: int = 24
     """Courses of each kind, at speeds from 0.3 to 0.8 m/s."""
-    seconds: float = 20.0
+    seconds: float = 40.0
     """Longest time on a course [s]."""
     seed: int = 0
     """Seed of courses and noise."""
