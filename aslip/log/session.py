@@ -8,7 +8,6 @@ from typing import Any, Literal, cast
 import mujoco
 import numpy as np
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from aslip.envs import SimulatedEnv
 from aslip.errors import ConfigurationError
@@ -24,12 +23,11 @@ from aslip.log.template import (
     transforms_template,
 )
 from aslip.log.writer import LogWriter
-from aslip.planning import WalkState
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.sim.course import STONE
-from aslip.transforms.plan_state import foothold_in_world
+from aslip.transforms.plan_state import foothold_in_world, landing_foot
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
@@ -361,11 +359,7 @@ class Session:
         if "plan" not in td:
             return None
         one = cast("TensorDictBase", td[self._robot : self._robot + 1])
-        led = WalkState.from_rows(cast("Tensor", one["plan", "state"]))
-        # the plan may land within this policy step
-        lands = cast("Tensor", one["plan", "time"])[0, 0] <= CASSIE.policy_period
-        side = SIDES[int(led.stance[0]) ^ (not lands)]
-        return {side: foothold_in_world(one)[0].double().numpy()}
+        return {SIDES[int(landing_foot(one))]: foothold_in_world(one)[0].double().numpy()}
 
     def _joint_states(self, truth: Row) -> None:
         """Write the joints of this instant."""

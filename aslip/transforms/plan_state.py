@@ -138,6 +138,14 @@ def landed(
     )
 
 
+def landing_foot(found: TensorDictBase) -> Tensor:
+    """Foot (n,) that lands next in plans, 0 for the left and 1 for the right."""
+    led = WalkState.from_rows(cast("Tensor", found["plan", "state"]))
+    # the state is that after a policy step, within which the foot may land
+    lands = cast("Tensor", found["plan", "time"])[:, 0] <= CASSIE.policy_period
+    return torch.where(lands, led.stance, 1 - led.stance)
+
+
 def foothold_in_world(found: TensorDictBase) -> Tensor:
     """Next foothold (n, 2), as far from the true pelvis as a plan has it from the estimated [m]."""
     truth, odometry = (cast("TensorDictBase", found[group]) for group in ("truth", "odometry"))
