@@ -78,6 +78,7 @@ from aslip.policy import (
     policy_library,
     read_card,
 )
+from aslip.policy.gaits import in_all_directions
 from aslip.policy.hub import upload
 from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
@@ -235,7 +236,7 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     """Run the other benchmarks; returns sections with their tables and the limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
     parts = []
-    if _in_all_directions(about):
+    if in_all_directions(about):
         return direction_sections(config, policy, about)
     if "reference/body_position" in about["observation"]:
         foot_placement.main(foot_placement.Config(**common))
@@ -280,11 +281,6 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     ]
 
 
-def _in_all_directions(about: dict[str, Any]) -> bool:
-    """True for a policy that walks in all directions."""
-    return any(name.endswith("filtered_command") for name in about.get("observation", ()))
-
-
 def limits(numbers: dict[str, Any]) -> str:
     """List of the weakest push direction and phase, and of parameters that cause falls."""
     cells = [(cell, row) for row in numbers["pushes"] for cell in row["phases"]]
@@ -309,7 +305,7 @@ def training_conditions(about: dict[str, Any]) -> str:
     """Line on the robots, floors and pushes of the training, as its policy's file has them."""
     made = about.get("made_by", {})
     settings, transforms = made.get("settings", {}), made.get("transforms", {})
-    how = "to walk in all directions" if _in_all_directions(about) else "to walk straight ahead"
+    how = "to walk in all directions" if in_all_directions(about) else "to walk straight ahead"
     pushes = settings.get("push_impulse", 0)
     pushed = f", with pushes of up to {pushes:g} N s" if pushes else ""
     dynamics = transforms.get("training/dynamics", transforms.get("dynamics"))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,6 +32,7 @@ TOPICS = ("/step", "/state", "/dynamics", "/stones")
 """Topics that a replay reads."""
 
 _ONE = np.zeros(1, dtype=int)
+_Value = TypeVar("_Value")
 # parameters that logs of earlier versions lack
 _GAINS = ("pd_stiffness", "pd_damping")
 
@@ -205,30 +208,31 @@ class ReplayedRobot:
         return [np.concatenate([np.ravel(part) for part in pair]) for pair in pairs]
 
     def change(self, tick: int) -> None:
-        """Set the last dynamics that were logged at or before an instant.
+        """Set the last dynamics and stones that were logged at or before an instant.
 
         Raises:
-            FileDamagedError: dynamics are missing or out of range.
+            FileDamagedError: dynamics or stones are missing or out of range.
         """
-        past = [at for at in self._changes if at <= tick]
-        if not past:
-            raise FileDamagedError(
-                f"/dynamics does not begin before {tick * CASSIE.policy_period:g} s"
-            )
-        values = dict(self._changes[max(past)])
+        values = dict(_last(self._changes, tick, "/dynamics"))
         self._lengthen(self._checked_memory(values.pop(MEMORY)))
+        at = f"{tick * CASSIE.policy_period:g} s"
         try:
             fields = self._dynamics.update(_ONE, values)
         except ValueError as error:
-            raise FileDamagedError(
-                f"/dynamics at {tick * CASSIE.policy_period:g} s: {error}"
-            ) from error
+            raise FileDamagedError(f"/dynamics at {at}: {error}") from error
         self._simulations.write_fields(_ONE, fields)
-        if self._courses:
-            self._stones.place_rows(
-                _ONE, self._courses[max(at for at in self._courses if at <= tick)]
-            )
-            self._simulations.write_fields(_ONE, self._stones.fields(_ONE))
+        if not self._courses:
+            return
+        rows = _last(self._courses, tick, "/stones")
+        if np.array_equal(rows, self._stones.rows, equal_nan=True):
+            return
+        try:
+            self._stones.place_rows(_ONE, rows)
+        except ValueError as error:
+            raise FileDamagedError(f"/stones at {at}: {error}") from error
+        if not self._stones.fit:
+            raise FileDamagedError(f"/stones at {at}: more stones than the model of the log has")
+        self._simulations.write_fields(_ONE, self._stones.fields(_ONE))
 
     def set_state(self, row: np.ndarray) -> None:
         """Set a logged state."""
@@ -284,6 +288,18 @@ class ReplayedRobot:
             return states
         models = (self._thaw(number) for number in (memory, to))
         return with_memory_of(states, *models)
+
+
+def _last(changes: Mapping[int, _Value], tick: int, topic: str) -> _Value:
+    """Value of the last change at or before a policy step.
+
+    Raises:
+        FileDamagedError: the changes of the topic begin later.
+    """
+    past = [at for at in changes if at <= tick]
+    if not past:
+        raise FileDamagedError(f"{topic} does not begin before {tick * CASSIE.policy_period:g} s")
+    return changes[max(past)]
 
 
 def _courses(series: Series | None) -> dict[int, np.ndarray]:

@@ -168,7 +168,7 @@ class BatchPlanner:
         The reach of the body counts if asked for: where its motion is not known yet, it does not.
         """
         limits, k = self.program.limits, len(steps)
-        xp, axes = namespace(variable), _axes(problem, k)
+        xp, axes = namespace(variable), problem.axes[:, k]
         constant, by_time, by_step = self.program.reach(problem)
         # the body from the next foothold, if the step were zero
         body = constant[:, k] + variable[:, None] * by_time[:, k]
@@ -241,13 +241,6 @@ class BatchPlanner:
         length = ((way**2).sum(-1) + 1e-12) ** 0.5
         speed = fast + (way * problem.velocity[:, None]).sum(-1) / length
         return problem.shift[:, None] + length / speed.clip(fast / 5)
-
-
-def _axes(problem: Problem, k: int) -> Array:
-    """Rows (n, 2, 2) of the directions ahead and outward at a touchdown."""
-    xp, side = namespace(problem.heading), problem.side[:, k]
-    cosine, sine = xp.cos(problem.heading[:, k]), xp.sin(problem.heading[:, k])
-    return xp.stack([cosine, sine, -side * sine, side * cosine], -1).reshape(-1, 2, 2)
 
 
 def _clipped(step: Array, axes: Array, low: Array, high: Array) -> Array:

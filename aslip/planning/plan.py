@@ -143,6 +143,13 @@ class Plan:
             clearance=program.limits.clearance,
         )
 
+    @property
+    def command(self) -> Array:
+        """(n, 3) mean velocity of the body over all steps [m/s], and its yaw rate [rad/s]."""
+        way = (self.body[0][:, -1] - self.body[0][:, 0])[:, :2]
+        turn = self.yaw_rate[:, None]
+        return namespace(turn).concatenate([way / self.time[:, -1:], turn], -1)
+
     def sample(self, time: Array) -> PlanSample:
         """Motion at a time (n,) of each robot, or at times (m,) of a single one [s].
 

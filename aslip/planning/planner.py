@@ -20,7 +20,7 @@ _CHORDS = np.array([0.0, 0.4, 1.0])
 # share of the limit of speed that is left to a foot against the motion of the body
 _SLOWEST = 0.2
 # difference in height beyond the limit, for rounding errors [m]
-_TOLERANCE = 1e-9
+_ROUNDING = 1e-9
 
 
 class Planner:
@@ -107,7 +107,7 @@ class Planner:
         matrix[:, :count, :3], high[:, 1 : count + 1] = speed, fastest
         count += 1
         # steps and feet relative to the body, along and across the heading, outward positive
-        turn, k = _axes(problem), np.arange(steps)
+        turn, k = problem.axes, np.arange(steps)
         by_axis = np.zeros((num, 2, steps, 2, steps, 2))
         by_axis[:, 0, k, :, k] = turn.swapaxes(0, 1)
         constant, by_time, by_step = program.reach(problem)
@@ -181,10 +181,10 @@ class Planner:
         edges = stones.corners.shape[2]
         point = np.broadcast_to(stance[:, None, None, :2], (num, 1, edges, 2))
         corners = np.concatenate([point, stones.corners], 1).reshape(num, 1, -1, 2)
-        along = (corners @ _axes(problem).swapaxes(2, 3)).reshape(num, steps, -1, edges, 2)
+        along = (corners @ problem.axes.swapaxes(2, 3)).reshape(num, steps, -1, edges, 2)
         least, most = along.min(3), along.max(3)
         tops = np.concatenate([stance[:, 2:], stones.heights], 1)
-        level = np.abs(stones.heights[:, None] - tops[..., None]) <= limits.rise + _TOLERANCE
+        level = np.abs(stones.heights[:, None] - tops[..., None]) <= limits.rise + _ROUNDING
         level &= near[:, None]
         box = np.array([limits.length, limits.width])
         # entry [n, s, i, j]: from i to j at step s
@@ -212,10 +212,3 @@ class Planner:
             extra=extra,
             least=soonest,
         )
-
-
-def _axes(problem: Problem) -> np.ndarray:
-    """Axes (n, N, 2, 2) of the steps, ahead and outward."""
-    cosine, sine, side = np.cos(problem.heading), np.sin(problem.heading), problem.side
-    rows = [[cosine, sine], [-side * sine, side * cosine]]
-    return np.stack([np.stack(row, -1) for row in rows], -2)

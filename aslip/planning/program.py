@@ -73,6 +73,14 @@ class Problem:
     ahead: Array
     """(n, 2) step of the command, without the distance of the feet [m]."""
 
+    @property
+    def axes(self) -> Array:
+        """(n, N, 2, 2) rows of the directions ahead and outward at the touchdowns."""
+        xp, side = namespace(self.heading), self.side
+        cosine, sine = xp.cos(self.heading), xp.sin(self.heading)
+        rows = xp.stack([cosine, sine, -side * sine, side * cosine], -1)
+        return rows.reshape(*side.shape, 2, 2)
+
     def pressed(self, distance: Array) -> Problem:
         """Programs with the centre of pressure by (n,) along the toes [m], from one without."""
         place = distance[:, None] * self.toes

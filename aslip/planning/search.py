@@ -37,7 +37,7 @@ class Programs:
 
 @dataclass(frozen=True, eq=False)
 class Choices:
-    """What m stones with e edges add to the programs of n robots."""
+    """Constraints and costs of m stones with e edges, for the programs of n robots."""
 
     near: np.ndarray
     """(n, m) bool, stones that can be reached in all steps."""

@@ -81,8 +81,12 @@ def _shipped_library(card: Mapping[str, Any]) -> str:
     """Name of the shipped library of a policy's stack."""
     if card["stack"] == "single_reference":
         return "single_reference"
-    turns = any(name.endswith("filtered_command") for name in card["observation"])
-    return "directions" if turns else "gaits"
+    return "directions" if in_all_directions(card) else "gaits"
+
+
+def in_all_directions(card: Mapping[str, Any]) -> bool:
+    """True for a policy that observes commands of three axes, given ones or those of a plan."""
+    return any(name.endswith("filtered_command") for name in card.get("observation", ()))
 
 
 def check_policy_library(

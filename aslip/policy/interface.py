@@ -70,8 +70,7 @@ def stack_name(env: StackEnv) -> str | None:
     turning = library.command_size == 3
     possible = ["straight", "paper", "single_reference"]
     if turning:
-        plans = any(isinstance(t, PlannedReference) for t in env.transforms)
-        possible = ["planned" if plans else "directions" if stands(env) else "walking"]
+        possible = ["planned" if plans(env) else "directions" if stands(env) else "walking"]
     for name in possible:
         stack = STACKS[name](library if turning else None)
         if keys == (_observation_keys([stack["observation"]]), _baseline_key(stack["action"])):
@@ -97,6 +96,11 @@ def command_rates(env: StackEnv) -> tuple[float, ...] | None:
 def stands(env: StackEnv) -> bool:
     """True for a stack whose robots can stand, see `aslip.transforms.StandClock`."""
     return any(isinstance(t, StandClock) for t in env.transforms)
+
+
+def plans(env: StackEnv) -> bool:
+    """True for a stack in which a planner decides where and when the feet land."""
+    return any(isinstance(t, PlannedReference) for t in env.transforms)
 
 
 @on_cpu_in_single
@@ -130,7 +134,7 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
 def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
     """First difference between an environment and that of a policy's card; empty for none."""
     shown = entry_names(observation_keys(env))
-    if any(isinstance(transform, PlannedReference) for transform in env.transforms):
+    if plans(env):
         # policies that have never seen a plan follow its command as they do their own
         card = {**card, "observation": entry_names(planned_table(card["observation"]))}
     if not only_size and card["observation"] != shown:

@@ -49,8 +49,7 @@ PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
 of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts
-to, the mean velocity of the body over all steps [m/s] and its yaw rate [rad/s]; of robots that do
-not walk it is the command given."""
+to, see `Plan.command`, or of robots that do not walk the command given."""
 
 _MOTORS = ("motor_position", "motor_velocity", "motor_torque")
 _VECTORS = (
@@ -289,12 +288,9 @@ class PlannedReference(SeededTransform):
             "foothold": plan.foothold[:, 0],
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
+            "filtered_command": plan.command,
         }
-        found = mapped(to_single, (now, later, tuple(around), written))
-        moved, time = mapped(to_single, (plan.body[0][:, -1] - plan.body[0][:, 0], plan.time))
-        turn = to_single(plan.yaw_rate)
-        found[3]["filtered_command"] = torch.cat([moved[:, :2] / time[:, -1:], turn[:, None]], -1)
-        return found
+        return mapped(to_single, (now, later, tuple(around), written))
 
     def _motors(self, later: Any, around: tuple[Any, Any], pelvis: Pelvis) -> dict[str, Tensor]:
         """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it.

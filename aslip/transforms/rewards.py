@@ -309,7 +309,7 @@ def feet_apart(
 def level(pelvis_orientation: Tensor, scale: float = 0.1) -> Tensor:
     r""":math:`\exp(-\sin\alpha / s)`, :math:`\alpha` the tilt of the pelvis.
 
-    The motor angles of a plan are those of a level pelvis: 7° of roll move a foot by 10 cm. Ours.
+    The legs in stance have the motor angles of a level pelvis. Ours.
 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.

@@ -30,8 +30,12 @@ class Pelvis(NamedTuple):
     """(n, 3) from the plan's body [m]."""
     orientation: Tensor
     """(n, 4) pelvis to the frame of the plan."""
-    pitch: Tensor
-    """(n, 1) its pitch [rad]."""
+
+    @property
+    def pitch(self) -> Tensor:
+        """(n, 1) its pitch, nose down [rad]."""
+        w, x, y, z = self.orientation.split(1, dim=-1)
+        return (2 * (w * y - z * x)).clamp(-1, 1).asin()
 
     @classmethod
     def expected(cls, found: TensorDictBase, body: Tensor, shift: Tensor) -> Pelvis:
@@ -47,9 +51,7 @@ class Pelvis(NamedTuple):
         rate = cast("Tensor", found["estimate", "angular_velocity"])
         turned = from_vector(rate * CASSIE.policy_period)
         orientation = multiply(cast("Tensor", odometry["pelvis_orientation"]), turned)
-        w, x, y, z = orientation.split(1, dim=-1)
-        pitch = (2 * (w * y - z * x)).clamp(-1, 1).asin()
-        return cls(place - body, orientation, pitch)
+        return cls(place - body, orientation)
 
     def sees(self, sample: Any, turn: Tensor) -> tuple[Tensor, Tensor]:
         """Places (n, 2, 3) of feet in the pelvis' frame [m], and their headings (n, 2) [rad].

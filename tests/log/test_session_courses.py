@@ -1,5 +1,6 @@
 """Logs of planned walks over stones: plans, footholds, and replays on the same ground."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 
 import aslip
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.log import Recorder, Recording, read, replay
 from aslip.sim.course import Course, pattern, stairs
 from aslip.transforms.plan_state import foothold_in_world
@@ -51,7 +52,7 @@ def test_a_replay_has_the_same_ground(walk: tuple[Recording, list[TensorDictBase
 def test_touchdowns_have_the_footholds_of_the_plan(
     walk: tuple[Recording, list[TensorDictBase]],
 ) -> None:
-    """Of the last plan before them, in the world; `/plan` has it in the frame of the odometry."""
+    """Planned places are in the world, those of `/plan` in the frame of the odometry."""
     log, seen = walk[0], cast("Any", walk[1])
     foothold = log["/plan"].vector("foothold")
     np.testing.assert_array_equal(foothold[1:], [td["next", "plan", "foothold"][1] for td in seen])
@@ -79,3 +80,19 @@ def test_a_log_has_room_for_the_stones_that_it_begins_with(tmp_path: Path) -> No
         else:
             env.step(td)
         env.close()
+    # the second course is shorter: places without stones are NaN
+    last = read(tmp_path / "b.mcap")["/stones"]["x"][-1]
+    assert np.isnan(last).tolist() == [False, False, True, True, True]
+
+
+def test_damaged_stones_are_refused(walk: tuple[Recording, list[TensorDictBase]]) -> None:
+    log = walk[0]
+    series = log["/stones"]
+    wider = {name: np.tile(column, 2) for name, column in series.columns.items()}
+    for other, message in (
+        (replace(series, columns={**series.columns, "length": -series["length"]}), "above 0"),
+        (replace(series, columns=wider), "more stones than the model"),
+        (replace(series, time=series.time + 1.0), "/stones does not begin before"),
+    ):
+        with pytest.raises(FileDamagedError, match=message):
+            replay(replace(log, series={**log.series, "/stones": other}))

@@ -91,6 +91,15 @@ def test_touchdowns_are_compared_with_the_plan_before_them():
     assert len(stepping_stones.touchdowns(seen)["distance"]) == 0
 
 
+def test_all_courses_of_the_table_have_as_many_stones():
+    """Robots of one environment walk on all of them; stairs rise by what their row says."""
+    courses = stepping_stones.courses_of(stepping_stones.Config(trials=2, count=5))
+    assert {stones.shape for stones in courses.values()} == {(2, 7, 6)}
+    for rise in stepping_stones.Config().stairs:
+        heights = courses[f"stairs {rise:+g} m"][:, :, 2]
+        np.testing.assert_allclose(np.diff(heights), rise)
+
+
 def test_courses_are_completed_unless_a_robot_leaves_a_stone():
     """A blind robot walks over level treads, but not over two stones 1 m apart."""
     level = stairs(0.0, steps=2).stones
