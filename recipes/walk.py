@@ -129,11 +129,13 @@ from aslip.policy import policy_environment, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
-from aslip.sim.course import PATTERNS, Course, pattern, random_course
+from aslip.sim.course import MOST_STONES, PATTERNS, Course, pattern, random_course
 from aslip.walking import Push, Walker, command_library, policy_steps
 
 # duration of the last speed of a schedule [s]
 _LAST_SPEED = 4.0
+# stones to add on the page
+_SPARE = 10
 
 
 def main(config: Config) -> None:
@@ -206,7 +208,11 @@ def make_walker(config: Config, schedule: Schedule, course: Course | None = None
                 f"the policy {config.policy!r} does not step where a planner says, which --course"
                 " needs; recipes/stepping_stones.py trains one that does"
             )
-        stack = course_stack(stack, [course])
+        courses: Any = [course]
+        if config.live and not course.polygons:
+            spare = min(_SPARE, MOST_STONES - len(course.stones))
+            courses = np.pad(course.stones, ((0, spare), (0, 0)), constant_values=np.nan)[None]
+        stack = course_stack(stack, courses)
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
         stack["recorder"] = Recorder(

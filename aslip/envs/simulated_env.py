@@ -22,8 +22,8 @@ wrappers, such as `SerialEnv`, drop them.
 A NaN target makes only its own simulation diverge. TorchRL copies `push` from step to step: remove
 it when the push ends.
 
-Further methods: `dynamics`, `weight` and `set_dynamics` for the dynamics; `stones` and `set_course`
-for the ground; `states`, `set_states` and `watch` for logs and replay.
+Further methods: `dynamics`, `weight` and `set_dynamics` for the dynamics; `stones`, `set_course`
+and `set_stones` for the ground; `states`, `set_states` and `watch` for logs and replay.
 """
 
 from __future__ import annotations
@@ -259,6 +259,18 @@ class SimulatedEnv(RobotEnv):
             raise ShapeError(f"course must be one, or {len(robots)} courses, got {len(courses)}")
         self._stones.place(robots, courses)
         self._write_stones(robots)
+
+    def set_stones(self, stones: np.ndarray) -> None:
+        """Put stones (n, s, 6) below all robots, NaN where is none, whether these can walk or not.
+
+        See `set_course`. Robots see them if `("stones", "course")` has them, too.
+
+        Raises:
+            ShapeError: the stones have another shape.
+            ConfigurationError: a stone has numbers and NaN, or no size.
+        """
+        self._stones.place_rows(self._everyone, self._arranged(stones))
+        self._write_stones(self._everyone)
 
     def _write_stones(self, robots: Array) -> None:
         if not self._stones.fit:

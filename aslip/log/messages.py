@@ -157,6 +157,8 @@ def component_names(name: str, size: int) -> list[str]:
         return [name]
     if name in _PARTS:
         return [f"{name}_{part}" for part in _PARTS[name][:size]]
+    if name == "later_footholds":
+        return [f"{name}_{i}_{axis}" for i in range(size // 3) for axis in "xyz"]
     if size == len(CASSIE.motor_names):
         return [f"{name}_{motor}" for motor in CASSIE.motor_names]
     if size == len(CASSIE.joint_names) and "joint" in name:

@@ -27,7 +27,7 @@ from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.sim.course import STONE
-from aslip.transforms.plan_state import foothold_in_world, landing_foot
+from aslip.transforms.plan_state import footholds_in_world, landing_foot
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
@@ -359,7 +359,7 @@ class Session:
         if "plan" not in td:
             return None
         one = cast("TensorDictBase", td[self._robot : self._robot + 1])
-        return {SIDES[int(landing_foot(one))]: foothold_in_world(one)[0].double().numpy()}
+        return {SIDES[int(landing_foot(one))]: footholds_in_world(one)[0, 0, :2].double().numpy()}
 
     def _joint_states(self, truth: Row) -> None:
         """Write the joints of this instant."""

@@ -71,7 +71,7 @@ class Ghost:
     def of_rows(cls, reference: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> Ghost:
         """Ghost of one robot's entries of `("reference", ...)` and `("truth", ...)`."""
         body = truth["pelvis_position"].astype(np.float64)
-        body[2] = reference["body_position"][2]
+        body[2] = reference["body_position"][2] + np.ravel(truth.get("ground_height", 0.0))[0]
         turn = yaw_rotation(
             truth["pelvis_orientation"], -float(np.ravel(reference.get("body_heading", 0.0))[0])
         )

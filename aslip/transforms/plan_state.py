@@ -146,12 +146,15 @@ def landing_foot(found: TensorDictBase) -> Tensor:
     return torch.where(lands, led.stance, 1 - led.stance)
 
 
-def foothold_in_world(found: TensorDictBase) -> Tensor:
-    """Next foothold (n, 2), as far from the true pelvis as a plan has it from the estimated [m]."""
-    truth, odometry = (cast("TensorDictBase", found[group]) for group in ("truth", "odometry"))
-    place = cast("Tensor", found["plan", "foothold"]) - odometry["pelvis_position"]
+def footholds_in_world(found: TensorDictBase) -> Tensor:
+    """Footholds (n, N, 3) of plans, as far from the true pelvis as from the estimated one [m]."""
+    truth, odometry, plan = (
+        cast("TensorDictBase", found[group]) for group in ("truth", "odometry", "plan")
+    )
+    footholds = torch.cat([plan["foothold"][:, None], plan["later_footholds"]], 1)
     turn = yaw(truth["pelvis_orientation"]) - yaw(odometry["pelvis_orientation"])
-    return (truth["pelvis_position"] + rotate_about_vertical(place, turn))[:, :2]
+    place = footholds - odometry["pelvis_position"][:, None]
+    return truth["pelvis_position"][:, None] + rotate_about_vertical(place, turn[:, None])
 
 
 def heading_of(found: TensorDictBase) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite
+from torchrl.data import Composite, Unbounded
 
 from aslip.base.checks import check_number
 from aslip.estimation import FilterNoise, StateEstimator
@@ -49,7 +49,8 @@ PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
 of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts
-to, see `Plan.command`, or of robots that do not walk the command given."""
+to, see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there
+are `later_footholds` (N - 1, 3), too [m]."""
 
 _MOTORS = ("motor_position", "motor_velocity", "motor_torque")
 _VECTORS = (
@@ -286,6 +287,7 @@ class PlannedReference(SeededTransform):
         written = {
             "state": later.state().to_rows(),
             "foothold": plan.foothold[:, 0],
+            "later_footholds": plan.foothold[:, 1:],
             "time": plan.time[:, :1],
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
             "filtered_command": plan.command,
@@ -340,6 +342,8 @@ class PlannedReference(SeededTransform):
         for key, sizes in zip(self.out_keys, (reference, target, PLAN_SIZES), strict=True):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)
+        later = torch.Size((*observation_spec.shape, self.planner.program.steps - 1, 3))
+        observation_spec["plan", "later_footholds"] = Unbounded(later, dtype=torch.float32)
         return observation_spec
 
 

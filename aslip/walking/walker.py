@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from aslip.base.decorators import on_cpu_in_single
 from aslip.envs import EPISODE_ENDS, StackEnv, library_of, make_env, shipped_library
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import Command, GaitLibrary, numbers
 from aslip.library.footholds import yaw_rotation
 from aslip.policy import (
@@ -26,6 +26,7 @@ from aslip.policy import (
     policy_library,
 )
 from aslip.robot import CASSIE
+from aslip.transforms.stones import COURSE_KEY
 from aslip.walking.push import policy_steps
 from aslip.walking.record import can_stand, next_start, reset_walks, take_step
 
@@ -155,6 +156,31 @@ class Walker:
             raise ConfigurationError(
                 "the robot cannot stand; it needs a policy of the stack 'standing'"
             )
+
+    @property
+    def stones(self) -> np.ndarray | None:
+        """(s, 6) stones of its course, by the columns of `aslip.sim.course.STONE`; None without.
+
+        Assign as many to move, take away (NaN) or add some while it walks, until the next reset.
+
+        Raises:
+            ShapeError, ConfigurationError: at assignment, they have another shape, or are no
+                stones; see `SimulatedEnv.set_stones`.
+        """
+        stones = self.td.get(COURSE_KEY, None)
+        return None if stones is None else stones[0].double().numpy()
+
+    @stones.setter
+    @on_cpu_in_single
+    def stones(self, stones: np.ndarray) -> None:
+        if COURSE_KEY not in self.td.keys(True):
+            raise ConfigurationError("the robot is on no course; make its stack by `course_stack`")
+        placed = torch.as_tensor(stones).float()[None]
+        if placed.shape != self.td[COURSE_KEY].shape:
+            expected = tuple(self.td[COURSE_KEY].shape[1:])
+            raise ShapeError(f"stones must have shape {expected}, got {tuple(placed.shape[1:])}")
+        self.env.base_env.set_stones(placed.double().numpy())
+        self.td[COURSE_KEY] = placed
 
     def _checked(self, command: Command | Sequence[float]) -> tuple[float, ...]:
         size = self.library.command_size

@@ -70,7 +70,7 @@ from aslip.robot.rotation import yaw
 from aslip.show.palette import ROBOT
 from aslip.sim.course import ground_height, pattern, random_stones, stairs, stone_distances
 from aslip.transforms import RandomCourse, SeenStones
-from aslip.transforms.plan_state import foothold_in_world
+from aslip.transforms.plan_state import footholds_in_world
 from aslip.transforms.stones import along_course
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
@@ -176,7 +176,7 @@ def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dic
     height = feet[..., 2] - np.stack(below, axis=1)
     turn, plan = yaw(truth["pelvis_orientation"]), np.full((len(load), 3), np.nan)
     if "plan" in td.keys():  # noqa: SIM118
-        plan[:, :2] = foothold_in_world(td).cpu().numpy()
+        plan[:, :2] = footholds_in_world(td)[:, 0, :2].cpu().numpy()
         plan[:, 2] = td["plan", "time"][:, 0].double().cpu().numpy()
     return {
         "pelvis": pelvis,

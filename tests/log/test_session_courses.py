@@ -14,7 +14,7 @@ from aslip.envs.directions import course_stack, planned_stack
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.log import Recorder, Recording, read, replay
 from aslip.sim.course import Course, pattern, stairs
-from aslip.transforms.plan_state import foothold_in_world
+from aslip.transforms.plan_state import footholds_in_world
 from tests.log.helpers import with_column
 
 STEPS = 40
@@ -59,7 +59,7 @@ def test_touchdowns_have_the_footholds_of_the_plan(
     events = log["/touchdown"]
     assert len(events) >= 2
     for tick, x, y in zip(events.ticks, events["x_planned"], events["y_planned"], strict=True):
-        planned = foothold_in_world(seen[tick - 1])[1]
+        planned = footholds_in_world(seen[tick - 1])[1, 0, :2]
         np.testing.assert_allclose([x, y], planned, atol=1e-6)
     away = np.hypot(events["x"] - events["x_planned"], events["y"] - events["y_planned"])
     assert away.max() < 0.25

@@ -2,16 +2,20 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 import torch
 
 import aslip
-from aslip.envs import MAX_EPISODE_STEPS
-from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.envs import EPISODE_ENDS, MAX_EPISODE_STEPS
+from aslip.envs.directions import course_stack, planned_stack
+from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy, stack_name
 from aslip.robot import CASSIE
+from aslip.sim.course import pattern
 from aslip.transforms import SINGLE_REFERENCE_TABLE
 from aslip.walking import Walker
 
@@ -106,6 +110,28 @@ def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):
         walker.policy = other
     assert stack_name(Walker(other, seed=0).env) == "single_reference"
+
+
+def test_stones_move_while_the_robot_walks() -> None:
+    """It falls where they were, and sees where they are."""
+    stack = course_stack(planned_stack(), [pattern("straight")])
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
+    walker = Walker("directions", env, speed=0.4)
+    walker.step()
+    stones = walker.stones
+    assert stones is not None
+    stones[0, 2], stones[1:] = -0.5, np.nan
+    walker.stones = stones
+    walker.step()
+    seen = cast("torch.Tensor", walker.td["stones", "height"])[0]
+    assert int(seen.isfinite().sum()) == 1
+    while not walker.fallen:
+        walker.step()
+    assert walker.time < 1.0
+    with pytest.raises(ShapeError, match=r"must have shape \(22, 6\), got \(21, 6\)"):
+        walker.stones = stones[1:]
+    with pytest.raises(ConfigurationError, match="course_stack"):
+        Walker("straight", seed=0).stones = stones
 
 
 def test_a_loaded_policy_is_named_with_its_stack_if_the_environment_has_another() -> None:

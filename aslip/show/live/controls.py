@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import viser
 
 from aslip.library import Command
@@ -18,9 +19,10 @@ from aslip.robot import CASSIE
 from aslip.show.live.pushes import PushControls
 from aslip.show.live.server import Check, guard, note, one_of, switch
 from aslip.show.live.steering import Steering
+from aslip.show.live.stones import StonesView
 from aslip.show.model_place import ROM_PLACES, RomPlace
 
-Click = Literal["pause", "step", "reset", "push", "stand"]
+Click = Literal["pause", "step", "reset", "push", "stand", "add stone", "restore stones"]
 
 _LEGEND = (
     "Blue is the left leg, red the right, pale in swing. A disc is the planned foothold of the foot"
@@ -53,6 +55,7 @@ class Controls:
         command: first command.
         policies: names to choose from; the first one is chosen.
         stands: True for robots that can stand.
+        stones: (s, 6) stones to move, see `StonesView`; None for robots without.
     """
 
     def __init__(
@@ -63,6 +66,7 @@ class Controls:
         command: Sequence[float],
         policies: Sequence[str],
         stands: bool = False,
+        stones: np.ndarray | None = None,
     ) -> None:
         self._clicks: queue.SimpleQueue[Click] = queue.SimpleQueue()
         gui = server.gui
@@ -79,6 +83,7 @@ class Controls:
             self.reset = gui.add_button("Reset", icon=viser.Icon.REFRESH)
             self.auto_reset = gui.add_checkbox("reset after a fall", True)
         self.pushes = PushControls(gui)
+        self.stones = None if stones is None else StonesView(server.scene, gui, stones)
         with gui.add_folder("View"):
             self.rom = gui.add_dropdown("spring-mass model", ROM_PLACES)
             gui.add_html(note(_LEGEND))
@@ -91,6 +96,8 @@ class Controls:
         if self.steering.stand is not None:
             buttons["stand"] = self.steering.stand
             self.steering.add_key(gui, "stand, or walk", "C", lambda: self._clicks.put("stand"))
+        if self.stones is not None:
+            buttons |= {"add stone": self.stones.add, "restore stones": self.stones.restore}
         for click, button in buttons.items():
             button.on_click(lambda _, click=click: self._clicks.put(click))
         self._guard(server, buttons.values())
@@ -103,7 +110,8 @@ class Controls:
         checks |= self.pushes.checks()
         for choice in (self.policy, self.rom):
             checks[choice._impl.uuid] = one_of(choice.options)
-        guard(server, checks, self.steering.keys)
+        touch = None if self.stones is None else self.stones.take
+        guard(server, checks, self.steering.keys, touch)
 
     def settings(self) -> Settings:
         """Present values."""

@@ -89,6 +89,7 @@ class LivePage:
         self._fallen_turns = 0
         self._single_steps = 0
         self._error = ""
+        self._moved_stones = False
         self._drawn: TensorDictBase | None = None
         self._last_status: tuple[list[tuple[str, str, str]], str] | None = None
         size = walker.library.command_size
@@ -104,6 +105,9 @@ class LivePage:
         gui.set_panel_label(_TITLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
+        self._scene = SceneView(
+            self._server, load_model(), walker.library, ahead=walker.stones is not None
+        )
         self.controls = Controls(
             self._server,
             limits=[(float(axis[0]), float(axis[-1])) for axis in walker.library.table.axes],
@@ -111,6 +115,7 @@ class LivePage:
             command=[round(value, 6) for value in numbers(walker.command)],
             policies=list(self._policies),
             stands=walker.can_stand,
+            stones=walker.stones,
         )
         """Sliders, buttons and choices."""
         self.controls.steering.show_standing(walker.stand)
@@ -123,7 +128,6 @@ class LivePage:
         panel.set_width(_PANEL_WIDTH)
         # a plot drawn while the page opens lacks its time axis
         self._server.on_client_connect(lambda _: self._readouts.redraw())
-        self._scene = SceneView(self._server, load_model(), walker.library)
         self._apply_settings()
         self._show()
 
@@ -186,6 +190,7 @@ class LivePage:
             for click in self.controls.clicks():
                 self._click(click)
             self._apply_settings()
+            self._place_stones()
         except AslipError as error:
             self._error = str(error)
         if self.walker.fallen:
@@ -196,7 +201,7 @@ class LivePage:
         self._show()
 
     def _click(self, click: Click) -> None:
-        self._error = ""
+        self._error, stones = "", self.controls.stones
         if click == "push":
             self.walker.push(self.controls.pushes.force().tolist(), PUSH_DURATION)
         elif click == "reset":
@@ -204,12 +209,25 @@ class LivePage:
         elif click == "stand":
             self.walker.stand = not self.walker.stand
             self.controls.steering.show_standing(self.walker.stand)
+        elif click == "add stone" and stones is not None:
+            self._moved_stones |= stones.add_stone(self._scene.place)
+        elif click == "restore stones" and stones is not None:
+            self._moved_stones |= stones.restore_all()
         elif click == "step":
             self._single_steps += self.paused
         else:
             self.paused = not self.paused
             self._single_steps = 0
             self.controls.show_paused(self.paused)
+
+    def _place_stones(self) -> None:
+        """Put stones where visitors want them."""
+        stones = self.controls.stones
+        if stones is not None:
+            self._moved_stones |= stones.changed(self._scene.place)
+            if self._moved_stones:
+                self.walker.stones = stones.rows
+                self._moved_stones = False
 
     def _apply_settings(self) -> None:
         """Apply changed settings."""
@@ -250,12 +268,13 @@ class LivePage:
     def _reset(self) -> None:
         self.walker.reset(stand=self.walker.stand)
         self._single_steps = 0
+        self._moved_stones = True
 
     def _show(self) -> None:
         """Send the scene, and on some turns the numbers."""
         td = self.walker.td
         if td is not self._drawn:
-            self._scene.update(td)
+            self._scene.update(td, self.controls.stones)
             self._drawn = td
         if self._turns % _TURNS_PER_READOUT == 0:
             status = self._lines(), self.message

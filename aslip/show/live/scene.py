@@ -12,9 +12,10 @@ import torch
 import viser
 from tensordict import TensorDictBase
 
-from aslip.library import GaitLibrary
+from aslip.library import GaitLibrary, WalkMode
 from aslip.library.footholds import footholds_of, yaw_rotation
 from aslip.robot import SIDES, Side
+from aslip.robot.rotation import yaw
 from aslip.show.ghost import (
     BODY_COLOR,
     BODY_RADIUS,
@@ -25,16 +26,24 @@ from aslip.show.ghost import (
     Ghost,
 )
 from aslip.show.live.robot import Color, RobotView, to_color, tube
+from aslip.show.live.stones import ScenePlace, StonesView
 from aslip.show.model_place import BESIDE, BESIDE_STEPS, RomPlace
 from aslip.show.render import spring_path
+from aslip.transforms.plan_state import footholds_in_world, landing_foot
 
 # radius and half thickness of a disc on the floor [m]
 _FOOTHOLD_RADIUS = 0.05
 _FOOTHOLD_HALF = 0.002
+# footholds ahead to draw of each foot
+_FOOTHOLDS = 2
+# share of the way to the height of the ground by which the picture follows in a policy step
+_FOLLOW = 0.1
 
 
 class RomView:
     """Reduced-order model, a sphere on two coil springs, and discs at planned footholds.
+
+    They are the next ones of a plan, or of robots without a planner that of the foot in swing.
 
     Args:
         scene: scene to draw in, with the frame `/world` and the pelvis above its origin.
@@ -50,13 +59,16 @@ class RomView:
         self._plans = scene.add_frame("/world/footholds", show_axes=False)
         self._legs = {side: _LegView(scene, f"/world/rom/{side}", side) for side in SIDES}
         self._discs = {
-            side: scene.add_cylinder(
-                f"/world/footholds/{side}",
-                _FOOTHOLD_RADIUS,
-                2 * _FOOTHOLD_HALF,
-                color=to_color(LEG_COLORS[side]),
-                visible=False,
-            )
+            side: [
+                scene.add_cylinder(
+                    f"/world/footholds/{side}_{i}",
+                    _FOOTHOLD_RADIUS,
+                    2 * _FOOTHOLD_HALF,
+                    color=to_color(LEG_COLORS[side]),
+                    visible=False,
+                )
+                for i in range(_FOOTHOLDS)
+            ]
             for side in SIDES
         }
 
@@ -87,16 +99,35 @@ class RomView:
         )
         for side, other, foot, stance in legs:
             self._legs[side].update(body, foot - origin, stance)
-            disc = self._discs[side]
-            disc.visible = not stance and self._footholds is not None
-            if self._footholds is not None and not stance:
-                stance_foot = truth[f"{other}_foot_position"][0].double().numpy()
-                command = cast("torch.Tensor", td.get("filtered_command", td["command"]))[0]
-                phase = float(cast("torch.Tensor", td["phase"]))
-                plan = self._footholds.planned(
-                    side, command.tolist(), stance_foot, orientation, phase
-                )
-                disc.position = np.array([*(plan - origin[:2]), _FOOTHOLD_HALF])
+            if "plan" not in td:
+                ahead = np.empty((0, 3))
+                if self._footholds is not None and not stance:
+                    stance_foot = truth[f"{other}_foot_position"][0].double().numpy()
+                    command = cast("torch.Tensor", td.get("filtered_command", td["command"]))[0]
+                    phase = float(cast("torch.Tensor", td["phase"]))
+                    place = self._footholds.planned(
+                        side, command.tolist(), stance_foot, orientation, phase
+                    )
+                    ahead = np.array([[*place, 0.0]])
+                self._mark(side, ahead, origin)
+        if "plan" in td:
+            self._mark_plan(td, origin)
+
+    def _mark_plan(self, td: TensorDictBase, origin: np.ndarray) -> None:
+        """Draw the footholds of a robot's plan, if it walks."""
+        ahead = footholds_in_world(td)[0].double().numpy()
+        if "mode" in td and int(cast("torch.Tensor", td["mode"])) != WalkMode.WALK:
+            ahead = ahead[:0]
+        first = int(landing_foot(td))
+        for i, side in enumerate(SIDES):
+            self._mark(side, ahead[(i - first) % 2 :: 2], origin)
+
+    def _mark(self, side: Side, places: np.ndarray, origin: np.ndarray) -> None:
+        """Draw discs at places (k, 3) of the footholds of a foot [m]."""
+        for i, disc in enumerate(self._discs[side]):
+            disc.visible = i < len(places)
+            if disc.visible:
+                disc.position = places[i] - origin + [0.0, 0.0, _FOOTHOLD_HALF]
 
 
 class _LegView:
@@ -142,6 +173,8 @@ _CELL_COLOR, _SECTION_COLOR = (205, 210, 218), (150, 158, 170)
 # first position and target of the camera [m], and its vertical field of view [rad]
 _CAMERA = (2.1, 1.7, 1.1)
 _LOOK_AT = (0.0, -0.2, 0.52)
+# the same with stones, which are ahead
+_CAMERA_AHEAD, _LOOK_AHEAD = (1.7, 2.6, 1.7), (0.3, -0.1, 0.3)
 _FIELD_OF_VIEW = 0.6
 
 # narrowest picture, width over height, with the model beside the robot and this field of view
@@ -160,11 +193,16 @@ class RobotScene:
     Args:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
+        ahead: whether the camera shows the ground ahead.
     """
 
-    def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
+    def __init__(
+        self, server: viser.ViserServer, model: mujoco.MjModel, *, ahead: bool = False
+    ) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
+        if ahead:
+            camera.position, camera.look_at = _CAMERA_AHEAD, _LOOK_AHEAD
         server.on_client_connect(_keep_whole)
         self._world = server.scene.add_frame("/world", show_axes=False)
         self._floor = server.scene.add_grid(
@@ -182,16 +220,21 @@ class RobotScene:
         self.robot = RobotView(server.scene, model)
         """Meshes of the robot."""
 
-    def update(self, qpos: np.ndarray, heading: float = 0.0) -> None:
+    def update(
+        self, qpos: np.ndarray, heading: float = 0.0, ground: float = 0.0, floor: float = 0.0
+    ) -> None:
         """Draw a configuration (35,), in MuJoCo's conventions.
 
         Args:
             qpos: the configuration.
             heading: yaw of a robot that faces along the x axis of the picture [rad].
+            ground: height of the ground below the robot, which is at zero in the picture [m].
+            floor: height of the floor [m].
         """
         self._world.wxyz = np.array([math.cos(heading / 2), 0.0, 0.0, -math.sin(heading / 2)])
+        self._world.position = np.array([0.0, 0.0, -ground])
         # the pattern of the floor repeats after a section
-        self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
+        self._floor.position = np.array([*(-qpos[:2] % _SECTION), floor])
         self.robot.update(qpos)
 
 
@@ -214,14 +257,22 @@ class SceneView:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
         library: gaits for footholds.
+        ahead: whether the camera shows the ground ahead.
     """
 
     def __init__(
-        self, server: viser.ViserServer, model: mujoco.MjModel, library: GaitLibrary
+        self,
+        server: viser.ViserServer,
+        model: mujoco.MjModel,
+        library: GaitLibrary,
+        *,
+        ahead: bool = False,
     ) -> None:
         self._server = server
-        self._scene = RobotScene(server, model)
+        self._scene = RobotScene(server, model, ahead=ahead)
         self._rom = RomView(server.scene, library)
+        self.place = ScenePlace()
+        """Where the scene is in the world."""
 
     def place_rom(self, place: RomPlace) -> None:
         """Show the reduced-order model beside the robot, in its place, or not at all."""
@@ -229,15 +280,22 @@ class SceneView:
             self._rom.place(place)
             self._scene.robot.fade(_ROBOT_OPACITY if place == "through" else None)
 
-    def update(self, td: TensorDictBase) -> None:
+    def update(self, td: TensorDictBase, stones: StonesView | None = None) -> None:
         """Draw the present instant.
 
         Args:
             td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`,
                 and with `heading` for stacks that have it.
+            stones: stones below the robot.
         """
-        qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
+        truth = cast("Mapping[str, torch.Tensor]", td["truth"])
+        qpos, ground = truth["qpos"][0].numpy(), self.place.ground
+        ground += _FOLLOW * (float(truth["ground_height"]) - ground)
         heading = float(cast("torch.Tensor", td.get("heading", 0.0)))
+        turn = yaw(truth["pelvis_orientation"][0].double().numpy())
+        self.place = ScenePlace(qpos[:2].copy(), ground, heading, float(turn))
         with self._server.atomic():
-            self._scene.update(qpos, heading)
+            self._scene.update(qpos, heading, ground, 0.0 if stones is None else stones.floor)
+            if stones is not None:
+                stones.update(self.place.pelvis)
             self._rom.update(td)

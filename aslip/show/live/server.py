@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import viser
 from viser import _messages as messages
 from websockets.asyncio import server as websockets
@@ -202,8 +203,9 @@ def guard(
     server: viser.ViserServer,
     checks: Mapping[str, Check],
     keys: Mapping[str, Callable[[], object]] | None = None,
+    touch: Callable[[Any, np.ndarray], object] | None = None,
 ) -> None:
-    """Accept only valid values of controls, and known keys, from visitors.
+    """Accept only valid values of controls, known keys, and clicks and drags of visitors.
 
     Values out of range are clamped; other invalid messages are dropped. Messages on a single
     visitor's state, such as the camera, pass, because the server does not keep them.
@@ -213,6 +215,8 @@ def guard(
         checks: uuid of a control -> check of its value.
         keys: uuid of a command of viser's palette -> function that is called at each press of its
             key, in their order.
+        touch: function that is called with clicks on nodes of the scene and parts of their drags,
+            and the place (3,) of the visitor's camera [m]; it raises ValueError for invalid ones.
     """
     # viser has no public hook before its own handlers
     connections, accept = server._websock_server, server.gui._handle_gui_updates
@@ -230,7 +234,16 @@ def guard(
         if keys and isinstance(message.uuid, str) and message.uuid in keys:
             keys[message.uuid]()
 
+    async def pass_touch(client: Any, message: Any) -> None:
+        try:
+            if touch is not None:
+                touch(message, server.get_clients()[client].camera.position)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            return
+
     for kind in tuple(connections._incoming_handlers):
         connections.unregister_handler(kind)
     connections.register_handler(messages.GuiUpdateMessage, pass_valid)
     connections.register_handler(messages.CommandTriggerMessage, press)
+    connections.register_handler(messages.SceneNodeClickMessage, pass_touch)
+    connections.register_handler(messages.SceneNodeDragMessage, pass_touch)

@@ -86,13 +86,13 @@ def test_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library
     node = server.scene.get_handle_by_name
     left, right = (min(node(f"/world/rom/{side}/spring").color) for side in ("left", "right"))
     assert left > 100 > right
-    assert node("/world/footholds/left").visible
-    assert not node("/world/footholds/right").visible
+    assert node("/world/footholds/left_0").visible
+    assert not node("/world/footholds/right_0").visible
     truth = walker.td["truth"]
     plan = Footholds(library).planned(
         "left", 1.0, truth["right_foot_position"][0].numpy(), truth["pelvis_orientation"][0].numpy()
     )
-    drawn = node("/world/footholds/left").position
+    drawn = node("/world/footholds/left_0").position
     np.testing.assert_allclose(drawn[:2], plan - ghost.body[:2], atol=1e-5)
     # ahead of the robot, on the floor
     assert drawn[0] > 0.1
