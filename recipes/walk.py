@@ -209,7 +209,9 @@ def make_walker(config: Config, schedule: Schedule, course: Course | None = None
                 " needs; recipes/stepping_stones.py trains one that does"
             )
         courses: Any = [course]
-        if config.live and not course.polygons:
+        if config.live:
+            if course.polygons:
+                raise ConfigurationError("the page moves rectangular stones, no polygons")
             spare = min(_SPARE, MOST_STONES - len(course.stones))
             courses = np.pad(course.stones, ((0, spare), (0, 0)), constant_values=np.nan)[None]
         stack = course_stack(stack, courses)
@@ -229,6 +231,9 @@ def make_walker(config: Config, schedule: Schedule, course: Course | None = None
         replace=edits.get("replace"),
         num_threads=1,
     )
+    if course is not None and course.polygons:
+        # resets place rectangles only
+        env.base_env.set_course(course)
     first = schedule.at(0.0), schedule.stand_at(0.0)
     return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
 

@@ -31,6 +31,8 @@ COURSE_KEY: Final = ("stones", "course")
 """Key of the stones (n, s, 6) of simulated robots, by the columns of `aslip.sim.course.STONE`."""
 SHOWN_KEY: Final = ("stones", "shown")
 """Key of the stones (n, s, 6) that robots see, where these differ from those of the course."""
+OUTLINE_KEY: Final = ("stones", "outline")
+"""Key of the corners (n, s, e, 2) of a course with stones that are not rectangles [m]."""
 _REQUEST_KEY = ("course", "stones")
 SIGHT_NOISE: Final = NoiseLevel(white=0.005, bias=0.01)
 """Standard deviations of a stone's place on each axis [m], ours."""
@@ -52,14 +54,17 @@ class RandomCourse(ChosenAtReset):
 
     For many random courses: `RandomCourse(random_stones(np.random.default_rng(0), 10_000))`.
 
+    Stones that are not rectangles are possible in a single course, for all robots. Robots see them,
+    and `SimulatedEnv.set_course` makes them physical.
+
     Args:
-        courses: courses of rectangular stones, or their stones (p, s, 6).
+        courses: courses, or the stones (p, s, 6) of courses of rectangular ones.
         shown: stones (p, s, 6) that robots see of each course instead of all there are, written as
             `("stones", "shown")`: where the ground is larger than shown, robots learn where to step
             before they can fall.
 
     Raises:
-        ConfigurationError: there is no course, or a stone is not a rectangle.
+        ConfigurationError: there is no course, or a stone of several is not a rectangle.
         ShapeError: the stones have another shape.
     """
 
@@ -68,11 +73,10 @@ class RandomCourse(ChosenAtReset):
     def __init__(
         self, courses: Sequence[Course] | np.ndarray, shown: np.ndarray | None = None
     ) -> None:
-        keys = [COURSE_KEY] if shown is None else [COURSE_KEY, SHOWN_KEY]
-        super().__init__([], dict.fromkeys(keys, len(STONE)))
+        outline = None
         if not isinstance(courses, np.ndarray):
             if any(course.polygons for course in courses):
-                raise ConfigurationError("RandomCourse takes rectangular stones, not polygons")
+                outline = _outline(courses)
             longest = max((len(course.stones) for course in courses), default=0)
             rows = np.full((len(courses), longest, len(STONE)), np.nan)
             for row, course in zip(rows, courses, strict=True):
@@ -84,30 +88,34 @@ class RandomCourse(ChosenAtReset):
             raise ConfigurationError(f"courses must be one or more, got {courses.shape}")
         if shown is not None and shown.shape != courses.shape:
             raise ShapeError(f"shown stones must be {courses.shape}, got {shown.shape}")
-        given = [courses] if shown is None else [courses, shown]
-        self._rows = [torch.tensor(stones, dtype=torch.float32) for stones in given]
+        given = {COURSE_KEY: courses, SHOWN_KEY: shown, OUTLINE_KEY: outline}
+        rows = {k: torch.tensor(v, dtype=torch.float32) for k, v in given.items() if v is not None}
+        super().__init__([], dict.fromkeys(rows, len(STONE)))
+        self._rows = rows
 
     def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
         given = None if "_reset" in request else request.get(_REQUEST_KEY, None)
         if given is not None:
-            return dict.fromkeys(self._sizes, cast("Tensor", given))
-        chosen = torch.randint(len(self._rows[0]), request.batch_size, generator=self.generator)
-        return {k: rows[chosen] for k, rows in zip(self._sizes, self._rows, strict=True)}
+            return dict.fromkeys(self._rows, cast("Tensor", given))
+        count = len(self._rows[COURSE_KEY])
+        chosen = torch.randint(count, request.batch_size, generator=self.generator)
+        return {key: rows[chosen] for key, rows in self._rows.items()}
 
     def _accept(self, request: TensorDictBase) -> TensorDictBase:
-        shape, given = (*request.batch_size, *self._rows[0].shape[1:]), request[COURSE_KEY]
+        given = request[COURSE_KEY]
+        shape = (*request.batch_size, *self._rows[COURSE_KEY].shape[1:])
         if tuple(given.shape) != shape:
             raise ShapeError(f"{COURSE_KEY} must have shape {shape}, got {tuple(given.shape)}")
-        stones = given.float()
-        return request.set(COURSE_KEY, stones).set(_REQUEST_KEY, stones)
+        request.set(COURSE_KEY, given.float())
+        return request if OUTLINE_KEY in self._rows else request.set(_REQUEST_KEY, given.float())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.update(tensordict.select(*self.out_keys))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the stones."""
-        shape = torch.Size((*observation_spec.shape, *self._rows[0].shape[1:]))
-        for key in self._sizes:
+        for key, rows in self._rows.items():
+            shape = torch.Size((*observation_spec.shape, *rows.shape[1:]))
             observation_spec[key] = Unbounded(shape, dtype=torch.float32)
         return observation_spec
 
@@ -182,11 +190,11 @@ def along_course(course: Tensor, pelvis: Tensor, turn: Tensor, speed: Tensor) ->
 class SeenStones(SeededTransform):
     """Write the stones that a robot sees, in the frame of its estimated odometry.
 
-    They are `("stones", "corners")` (n, m, 4, 2), anticlockwise, and `("stones", "height")` (n, m)
-    [m], in the order of the course and NaN where is none: the m stones nearest to a point ahead of
-    the pelvis. A camera on the pelvis would see them like that: in their true places relative to
-    the pelvis and its yaw, with noise, and so in the odometry with its errors. Heights count as
-    those of `("odometry", "left_foot_position")` do.
+    They are `("stones", "corners")` (n, m, e, 2), anticlockwise, e = 4 for rectangles, and
+    `("stones", "height")` (n, m) [m], in the order of the course and NaN where is none: the m
+    stones nearest to a point ahead of the pelvis. A camera on the pelvis would see them like that:
+    in their true places relative to the pelvis and its yaw, with noise, and so in the odometry with
+    its errors. Heights count as those of `("odometry", "left_foot_position")` do.
 
     `("stones", "error")` (n, s, 3) is the part of the noise that lasts for an episode.
 
@@ -232,9 +240,13 @@ class SeenStones(SeededTransform):
         truth, seen = (cast("TensorDictBase", td[group]) for group in ("truth", "odometry"))
         stones = _shown(td)
         chosen = self._nearest(stones, truth["pelvis_position"], yaw(truth["pelvis_orientation"]))
+        outline = td.get(OUTLINE_KEY, None)
         shift, stones = (x.take_along_dim(chosen, 1) for x in (error, stones))
         shift = shift + self._normal(shift, self._white)
-        corners = stone_corners(stones)
+        if outline is None:
+            corners = stone_corners(stones)
+        else:
+            corners = outline.take_along_dim(chosen[..., None], 1)
         top = stones[..., None, 2:3].expand_as(corners[..., :1])
         points = torch.cat([corners, top], dim=-1) + shift.unsqueeze(-2)
         frame = heading_to_world(truth["slope"], td["heading"])[:, None, None]
@@ -264,12 +276,29 @@ class SeenStones(SeededTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the seen stones and their errors."""
         require_keys(self, observation_spec, self.in_keys)
-        total = observation_spec[COURSE_KEY].shape[1]
-        shapes = ((self.count, 4, 2), (self.count,), (total, 3))
+        total, edges = observation_spec[COURSE_KEY].shape[1], 4
+        if OUTLINE_KEY in observation_spec.keys(True):
+            edges = observation_spec[OUTLINE_KEY].shape[2]
+        shapes = ((self.count, edges, 2), (self.count,), (total, 3))
         for key, shape in zip(self.out_keys, shapes, strict=True):
             whole = torch.Size((*observation_spec.shape, *shape))
             observation_spec[key] = Unbounded(whole, dtype=torch.float32)
         return observation_spec
+
+
+def _outline(courses: Sequence[Course]) -> np.ndarray:
+    """Corners (1, s, e, 2) of a course; the last one of stones with fewer is repeated.
+
+    Raises:
+        ConfigurationError: there are several courses.
+    """
+    if len(courses) > 1:
+        raise ConfigurationError(
+            f"stones that are not rectangles are for a single course, got {len(courses)} courses"
+        )
+    most = max(map(len, courses[0].corners))
+    padded = [np.pad(c, ((0, most - len(c)), (0, 0)), mode="edge") for c in courses[0].corners]
+    return np.array(padded)[None]
 
 
 def _shown(td: TensorDictBase) -> Tensor:

@@ -20,6 +20,13 @@ from aslip.transforms import RandomCourse, SeenStones
 
 COURSES = [pattern("up", count=7), stairs(-0.15, steps=3)]
 NONE = NoiseLevel(0.0, 0.0)
+TRIANGLES = Course(
+    np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.05, 0.0, 1.0, 1.0]]),
+    {
+        0: np.array([[-0.6, -0.6], [0.3, -0.6], [0.3, 0.6], [-0.6, 0.6]]),
+        1: np.array([[0.5, -0.3], [1.0, 0.0], [0.5, 0.3]]),
+    },
+)
 
 
 def _env(num: int = 4, **settings: Any) -> StackEnv:
@@ -119,16 +126,32 @@ def test_noise_of_sight_has_a_part_that_lasts() -> None:
     [
         ([], ConfigurationError, r"one or more, got \(0, 0, 6\)"),
         (np.zeros((3, 6)), ShapeError, r"\(p, s, 6\), got \(3, 6\)"),
-        (
-            [Course(COURSES[0].stones[:1], {0: np.array([[-1, -1], [1, -1], [0, 2.0]])})],
-            ConfigurationError,
-            "not polygons",
-        ),
+        ([TRIANGLES, COURSES[0]], ConfigurationError, "a single course, got 2 courses"),
     ],
 )
-def test_courses_must_be_of_rectangles(courses: Any, error: type[AslipError], message: str) -> None:
+def test_bad_courses_are_refused(courses: Any, error: type[AslipError], message: str) -> None:
     with pytest.raises(error, match=message):
         RandomCourse(courses)
+
+
+def test_robots_see_and_stand_on_polygons() -> None:
+    """They fall where a triangle is not, and are on the corners that they see."""
+    stack = course_stack(planned_stack(), [TRIANGLES])
+    env = aslip.make_env(num_envs=2, seed=3, stack=stack, num_threads=1)
+    env.base_env.set_course(TRIANGLES)
+    td = env.reset(TensorDict(stand=torch.ones(2, 1), batch_size=2))
+    corners = td["stones", "corners"]
+    assert corners.shape == (2, 8, 4, 2)
+    seen = (corners[:, :2] - td["odometry", "pelvis_position"][:, None, None, :2]).double()
+    there = torch.tensor(np.array([[*c, c[-1]][:4] for c in TRIANGLES.corners]))
+    there = there - td["truth", "pelvis_position"][:, None, None, :2].double()
+    assert (seen - there).abs().max() < 0.1  # noise of sight
+    assert corners[:, 2:].isnan().all()
+    policy = aslip.load_policy("directions")
+    for _ in range(10):
+        td = env.step(policy(td))["next"]
+    assert td["truth", "ground_force"][..., 2].sum(1).min() > 200
+    assert env.base_env.stones[:, :2, 2].tolist() == [[0.0, 0.05]] * 2
 
 
 def test_a_robot_falls_below_its_stones_not_below_zero() -> None:
