@@ -16,7 +16,6 @@ from torchrl.data import Composite, Unbounded
 
 from aslip.base.checks import check_number
 from aslip.estimation import FilterNoise, StateEstimator
-from aslip.ik import LegTable
 from aslip.library import GaitLibrary, WalkMode
 from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, WalkState
 from aslip.robot import CASSIE, SIDES
@@ -30,6 +29,7 @@ from aslip.transforms.nested import (
     to_numpy,
     to_single,
 )
+from aslip.transforms.plan_motors import MOTORS, NEAR, Pelvis, PlanMotors
 from aslip.transforms.plan_state import (
     ODOMETRY,
     contact_of,
@@ -41,7 +41,6 @@ from aslip.transforms.plan_state import (
 )
 from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
-from aslip.transforms.swing_foot import SOLES, Pelvis, in_flight
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
     {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
@@ -52,7 +51,6 @@ of first footholds that stones allow, see `Plan.on_stones`; and the command that
 to, see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there
 are `later_footholds` (N - 1, 3), too [m]."""
 
-_MOTORS = ("motor_position", "motor_velocity", "motor_torque")
 _VECTORS = (
     *("body_position", "body_velocity"),
     *(f"{side}_foot_{name}" for side in SIDES for name in ("position", "velocity")),
@@ -64,8 +62,6 @@ _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "st
 _LARGE = 0.15
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
 _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
-# time between samples of a plan whose differences are accelerations [s]
-_NEAR = 0.003
 # height of the body above the ground in the library's gaits [m]
 _HEIGHT = 0.875
 
@@ -126,8 +122,9 @@ class PlannedReference(SeededTransform):
         keys += [("odometry", name) for name in (*ODOMETRY_SIZES, *PATH_SIZES)]
         keys += [("estimate", "angular_velocity")]
         super().__init__(keys, ["reference", "target", "plan"])
-        self.library, self.legs = library, LegTable()
+        self.library = library
         self.planner = default_planner() if planner is None else planner
+        self._motors = PlanMotors(self.planner.program.pendulum)
         self._on_stones = Planner(self.planner.program) if planner is None else planner
         slow, fast = follow
         self.follow = (
@@ -282,7 +279,7 @@ class PlannedReference(SeededTransform):
         zero = 0 * command[:, 0]
         now, later, *around = (
             plan.sample(zero + CASSIE.policy_period + shift)
-            for shift in (-CASSIE.policy_period, 0.0, -_NEAR, _NEAR)
+            for shift in (-CASSIE.policy_period, 0.0, -NEAR, NEAR)
         )
         written = {
             "state": later.state().to_rows(),
@@ -294,51 +291,11 @@ class PlannedReference(SeededTransform):
         }
         return mapped(to_single, (now, later, tuple(around), written))
 
-    def _motors(self, later: Any, around: tuple[Any, Any], pelvis: Pelvis) -> dict[str, Tensor]:
-        """Motor angles, velocities and torques of a sample, between samples `_NEAR` around it.
-
-        A foot in flight goes to its foothold from where the pelvis is, however that leans; the
-        other legs are those of the plan, which hold the pelvis level.
-        """
-        before, after = around
-        samples = before, later, after
-        yaw, rate = (
-            torch.stack(values)[..., None]
-            for values in zip(*((s.heading.angle, s.heading.rate) for s in samples), strict=True)
-        )
-        share = in_flight(later, self.planner.program.pendulum.double_stance)
-        level = [_feet(sample) for sample in samples]
-        seen = [pelvis.sees(s, s.heading.angle - later.heading.angle) for s in samples]
-        places = [
-            (torch.lerp(one[0], own[0], share[..., None]), torch.lerp(one[1], own[1], share))
-            for one, own in zip(level, seen, strict=True)
-        ]
-        position, heading = (torch.stack(values) for values in zip(*places, strict=True))
-        x, y, _ = position.unbind(-1)
-        moves = [sample.feet.velocity - sample.body.velocity[:, None] for sample in samples]
-        turning = (after.foot_heading - before.foot_heading) / (2 * _NEAR)
-        around_z = torch.stack([rate * y, -rate * x, 0 * x, turning - rate], -1)
-        moved = around_z + torch.nn.functional.pad(_turned(torch.stack(moves), -yaw), (0, 1))
-        angle, by_target = self.legs.motors(position, heading)
-        slow, velocity, fast = (by_target @ moved[..., None])[..., 0].flatten(-2)
-        # a motor that gets to a limit or leaves it between them has no acceleration
-        free = (slow != 0) & (fast != 0)
-        acceleration = torch.where(free, (fast - slow) / (2 * _NEAR), 0.0)
-        force = _turned(later.ground_force, -yaw[1])
-        pendulum = self.planner.program.pendulum
-        weight = force.new_tensor([0.0, 0.0, pendulum.gravity])
-        pushed = force.sum(1) / pendulum.mass - weight
-        torque = self.legs.torque(*places[1], force)
-        torque = torque + self.legs.inertial_torque(angle[1], velocity, acceleration, pushed)
-        turned = angle[1].clone()
-        turned[:, SOLES] += share * pelvis.pitch
-        return dict(zip(_MOTORS, (turned, velocity, torque), strict=True))
-
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and target, and the plan."""
         require_keys(self, observation_spec, self.in_keys)
         target = dict.fromkeys(_VECTORS, 3) | dict.fromkeys(_HEADINGS, 1)
-        reference = target | dict.fromkeys(_MOTORS, len(CASSIE.stiffness))
+        reference = target | dict.fromkeys(MOTORS, len(CASSIE.stiffness))
         for key, sizes in zip(self.out_keys, (reference, target, PLAN_SIZES), strict=True):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)
@@ -367,15 +324,3 @@ def _spread(value: Any, rows: Tensor) -> Any:
         return spread(value, rows)
     whole = {name: spread(entry, rows) for name, entry in value.items()}
     return TensorDict(whole, rows.shape)
-
-
-def _feet(sample: Any) -> tuple[Tensor, Tensor]:
-    """Places (n, 2, 3) [m] and headings (n, 2) [rad] of the feet, from the pelvis."""
-    yaw = sample.heading.angle[:, None]
-    position = sample.feet.position - sample.body.position[:, None]
-    return _turned(position, -yaw), sample.foot_heading - yaw
-
-
-def _turned(vector: Tensor, yaw: Tensor) -> Tensor:
-    """Vectors (*b, 2, 3) of the feet, turned by (*b, 1) [rad]."""
-    return rotate_about_vertical(vector, yaw[..., None].expand(*vector.shape[:-1], 1))

@@ -21,7 +21,8 @@ from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps,
 from aslip.transforms.base import extend_spec
 from aslip.transforms.nested import mapped, to_double, to_single
 from aslip.transforms.observation import join_entries
-from aslip.transforms.planned import _feet, _turned, default_planner
+from aslip.transforms.plan_motors import _SOLES, Pelvis, PlanMotors, _feet, _in_flight, _turned
+from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import (
     conjugate,
     from_vector,
@@ -29,7 +30,6 @@ from aslip.transforms.rotation import (
     rotate_inverse,
     vertical_quaternion,
 )
-from aslip.transforms.swing_foot import SOLES, Pelvis, in_flight
 
 NUM = 6
 
@@ -82,7 +82,7 @@ def test_motors_put_feet_in_stance_where_the_target_says(walk: Any) -> None:
     # the frame turns with the body
     angle, _ = LegTable().motors(feet, toes - target["body_heading"])
     state = WalkState.from_rows(walk["plan", "state"].flatten(0, 1))
-    stands = in_flight(state, default_planner().program.pendulum.double_stance) == 0
+    stands = _in_flight(state, default_planner().program.pendulum.double_stance) == 0
     found = walk["reference", "motor_position"].reshape(-1, 2, 5)[stands]
     assert len(found) > NUM * 30
     torch.testing.assert_close(found, angle.reshape(-1, 2, 5)[stands], rtol=0, atol=2e-5)
@@ -98,17 +98,17 @@ def test_motors_put_feet_in_flight_on_their_path_however_the_pelvis_leans(walk: 
     turn = 0.2 * torch.tensor([[1.0, 1.0, -1.0]]).expand(len(state.since), 3)
     away = torch.tensor([[0.05, -0.05, -0.05]]).expand(len(turn), 3)
     pelvis = Pelvis(away, from_vector(turn))
-    reference = PlannedReference(shipped_library("directions"), planner)
-    angle = reference._motors(sample, (sample, sample), pelvis)["motor_position"]
+    motors = PlanMotors(planner.program.pendulum)
+    angle = motors(sample, (sample, sample), pelvis)["motor_position"]
     place, heading = pelvis.sees(sample, 0 * turn[:, 0])
     back = conjugate(pelvis.orientation)[:, None].expand(-1, 2, 4)
     seen = rotate_inverse(back, place) + (sample.body.position + pelvis.away)[:, None]
     torch.testing.assert_close(seen, sample.feet.position, rtol=0, atol=1e-5)
-    expected, _ = reference.legs.motors(place, heading)
+    expected, _ = motors.legs.motors(place, heading)
     # the soles are level: the pelvis' axes, seen from the ground, lose the pitch of x
     down = -rotate_inverse(conjugate(pelvis.orientation), torch.eye(3)[:1].expand(len(turn), 3))
-    expected[:, SOLES] += down[:, 2:].asin()
-    flies = in_flight(sample, planner.program.pendulum.double_stance) == 1
+    expected[:, _SOLES] += down[:, 2:].asin()
+    flies = _in_flight(sample, planner.program.pendulum.double_stance) == 1
     assert flies.sum() > NUM
     own, there = (x.reshape(-1, 2, 5)[flies] for x in (angle, expected))
     torch.testing.assert_close(own, there, rtol=0, atol=1e-4)
@@ -121,10 +121,10 @@ def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
     plan = planner.plan(state, torch.tensor([[0.5, 0.1, 0.3]]).double().expand(len(state.since), 3))
     at, step, legs = 0.03 + 0 * state.since, 1e-3, LegTable()
     samples = [plan.sample(at + k * step) for k in (-3, 3, -1, 1, 0)]
-    reference = PlannedReference(shipped_library("directions"), planner)
+    motors = PlanMotors(planner.program.pendulum)
     turn: Any = samples[-1].heading.angle[:, None]
     level = Pelvis(torch.zeros(1, 3), vertical_quaternion(turn))
-    motors = reference._motors(samples[-1], (samples[0], samples[1]), level)
+    motors = motors(samples[-1], (samples[0], samples[1]), level)
     feet = [_feet(sample) for sample in samples]
     before, after, angle = (legs.motors(*x)[0] for x in feet[2:])
     velocity, acceleration = (after - before) / (2 * step), (after - 2 * angle + before) / step**2
