@@ -19,16 +19,11 @@ from aslip.policy import check_policy_fits, load_policy
 from aslip.robot import SIDES
 from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps, SeededTransform
 from aslip.transforms.base import extend_spec
-from aslip.transforms.nested import mapped, to_double, to_single
 from aslip.transforms.observation import join_entries
-from aslip.transforms.plan_motors import _SOLES, Pelvis, PlanMotors, _feet, _in_flight, _turned
+from aslip.transforms.plan_motors import PlanMotors, _feet, _turned
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import (
-    conjugate,
-    from_vector,
     rotate_about_vertical,
-    rotate_inverse,
-    vertical_quaternion,
 )
 
 NUM = 6
@@ -75,43 +70,29 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
     assert walk["heading"].amax() > 3
 
 
-def test_motors_put_feet_in_stance_where_the_target_says(walk: Any) -> None:
+def test_a_plan_knows_by_how_much_the_last_foot_missed_its_foothold(walk: Any) -> None:
+    """The distance in the world, of the foot that has just become the one in stance."""
+    miss, changes = walk["plan", "miss"][..., 0], 0
+    heading, origin = walk["heading"], walk["odometry", "origin"]
+    stance = WalkState.from_rows(walk["plan", "state"].flatten(0, 1)).stance.reshape(NUM, -1)
+    for robot, at in (miss[:, 1:] != miss[:, :-1]).nonzero().tolist():
+        planned = rotate_about_vertical(walk["plan", "foothold"], heading) + origin
+        foot = walk["odometry", f"{SIDES[int(stance[robot, at + 1])]}_foot_position"]
+        found = rotate_about_vertical(foot, heading) + origin
+        away = (found[robot, at + 1] - planned[robot, at])[:2].norm()
+        assert miss[robot, at + 1].item() == pytest.approx(away.item(), abs=1e-5)
+        changes += 1
+    assert changes > 2 * NUM
+
+
+def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
     target: Any = walk["target"].flatten(0, 1)
     feet = torch.stack([target[f"{side}_foot_position"] for side in SIDES], -2)
     toes = torch.cat([target[f"{side}_foot_heading"] for side in SIDES], -1)
     # the frame turns with the body
     angle, _ = LegTable().motors(feet, toes - target["body_heading"])
-    state = WalkState.from_rows(walk["plan", "state"].flatten(0, 1))
-    stands = _in_flight(state, default_planner().program.pendulum.double_stance) == 0
-    found = walk["reference", "motor_position"].reshape(-1, 2, 5)[stands]
-    assert len(found) > NUM * 30
-    torch.testing.assert_close(found, angle.reshape(-1, 2, 5)[stands], rtol=0, atol=2e-5)
-
-
-def test_motors_put_feet_in_flight_on_their_path_however_the_pelvis_leans(walk: Any) -> None:
-    """The pelvis is 5 cm from the plan's body, and rolls, pitches and turns by up to 0.2 rad."""
-    state = WalkState.from_rows(walk["plan", "state"][:, 12:30].flatten(0, 1))
-    planner = default_planner()
-    command = torch.tensor([[0.5, 0.1, 0.3]]).double().expand(len(state.since), 3)
-    sample: Any = planner.plan(mapped(to_double, state), command).sample(0 * command[:, 0])
-    sample = mapped(to_single, sample)
-    turn = 0.2 * torch.tensor([[1.0, 1.0, -1.0]]).expand(len(state.since), 3)
-    away = torch.tensor([[0.05, -0.05, -0.05]]).expand(len(turn), 3)
-    pelvis = Pelvis(away, from_vector(turn))
-    motors = PlanMotors(planner.program.pendulum)
-    angle = motors(sample, (sample, sample), pelvis)["motor_position"]
-    place, heading = pelvis.sees(sample, 0 * turn[:, 0])
-    back = conjugate(pelvis.orientation)[:, None].expand(-1, 2, 4)
-    seen = rotate_inverse(back, place) + (sample.body.position + pelvis.away)[:, None]
-    torch.testing.assert_close(seen, sample.feet.position, rtol=0, atol=1e-5)
-    expected, _ = motors.legs.motors(place, heading)
-    # the soles are level: the pelvis' axes, seen from the ground, lose the pitch of x
-    down = -rotate_inverse(conjugate(pelvis.orientation), torch.eye(3)[:1].expand(len(turn), 3))
-    expected[:, _SOLES] += down[:, 2:].asin()
-    flies = _in_flight(sample, planner.program.pendulum.double_stance) == 1
-    assert flies.sum() > NUM
-    own, there = (x.reshape(-1, 2, 5)[flies] for x in (angle, expected))
-    torch.testing.assert_close(own, there, rtol=0, atol=1e-4)
+    found = walk["reference", "motor_position"].flatten(0, 1)
+    torch.testing.assert_close(found, angle, rtol=0, atol=2e-5)
 
 
 def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
@@ -123,8 +104,7 @@ def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
     samples = [plan.sample(at + k * step) for k in (-3, 3, -1, 1, 0)]
     motors = PlanMotors(planner.program.pendulum)
     turn: Any = samples[-1].heading.angle[:, None]
-    level = Pelvis(torch.zeros(1, 3), vertical_quaternion(turn))
-    motors = motors(samples[-1], (samples[0], samples[1]), level)
+    motors = motors(samples[-1], (samples[0], samples[1]))
     feet = [_feet(sample) for sample in samples]
     before, after, angle = (legs.motors(*x)[0] for x in feet[2:])
     velocity, acceleration = (after - before) / (2 * step), (after - 2 * angle + before) / step**2
