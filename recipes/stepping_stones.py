@@ -123,7 +123,7 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
             planned_stack, planner=default_planner() if config.backend == "warp" else None
         ),
         add_training=partial(add_footsteps, config),
-        numbers=[("plan", "on_stones"), ("plan", "time"), ("plan", "miss")],
+        numbers=[("plan", "on_stones"), ("plan", "time")],
     )
 
 

@@ -16,7 +16,6 @@ from aslip.envs.straight import REWARD_SOURCES, shipped_library, stack_of, terms
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.planning import BatchPlanner, Planner
-from aslip.robot import SIDES
 from aslip.sim.course import Course
 from aslip.transforms import (
     DIRECTION_TABLE,
@@ -158,7 +157,7 @@ def planned_stack(
     """
     library = shipped_library("directions") if library is None else library
     stack = directions_stack(library, reward_on)
-    del stack["reference"], stack["foot_pos"]
+    del stack["reference"]
     feedforward = stack.pop("feedforward")
     reference = PlannedReference(library, planner, stands=True)
     follows = {"command_key": _FILTERED, "mode_key": "mode"}
@@ -172,16 +171,7 @@ def planned_stack(
             [(source, foot) for foot in feet],
             [("target", foot) for foot in feet],
         ),
-        rewards.footstep: ([("plan", "miss")], []),
         rewards.level: ([(source, "pelvis_orientation")], []),
-        rewards.height: (
-            [("truth", "pelvis_position"), ("truth", "ground_height")],
-            [("target", "body_position")],
-        ),
-        rewards.stumble: (
-            [("truth", "ground_force")],
-            [("target", f"{side}_foot_velocity") for side in SIDES],
-        ),
         rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", _FILTERED)]),
     }
     stack = insert_before(stack, "reward", **terms_of(reads))

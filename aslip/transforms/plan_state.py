@@ -27,8 +27,6 @@ _LOADED = 50.0
 # a foot lands before its time if it touches within this height of its foothold [m], this time
 # before the touchdown, and this time after the one before [s]
 _TOUCHING, _EARLY, _SHORTEST = 0.01, 0.12, 0.2
-# of times in single precision [s]
-_ROUNDING = 1e-4
 
 
 def start_state(
@@ -138,24 +136,6 @@ def landed(
         stance=torch.where(now, 1 - led.stance, led.stance),
         since=torch.where(now, 0.0, led.since),
     )
-
-
-def missed(
-    past: TensorDictBase, present: TensorDictBase, state: WalkState, foothold: Tensor
-) -> Tensor:
-    """Distance (n, 1) of the foot that landed last from its foothold along the ground [m].
-
-    Args:
-        past: entries of the step before.
-        present: entries now.
-        state: state of the plan now.
-        foothold: (n, 3) where the foot in flight was going to [m].
-    """
-    odometry = cast("TensorDictBase", present["odometry"])
-    feet = torch.stack([cast("Tensor", odometry[name]) for name in ODOMETRY[2:]], 1)
-    away = (state.of_foot(feet, swing=False) - foothold)[:, :2].norm(dim=-1)
-    lands = state.since < CASSIE.policy_period - _ROUNDING
-    return torch.where(lands[:, None], away[:, None], cast("Tensor", past["plan", "miss"]))
 
 
 def landing_foot(found: TensorDictBase) -> Tensor:

@@ -35,7 +35,6 @@ from aslip.transforms.plan_state import (
     contact_of,
     frame_between,
     landed,
-    missed,
     phase_of,
     recentred,
     start_state,
@@ -44,21 +43,13 @@ from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
-    {
-        "state": WalkState.SIZE,
-        "foothold": 3,
-        "time": 1,
-        "on_stones": 1,
-        "filtered_command": 3,
-        "miss": 1,
-    }
+    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
-of first footholds that stones allow, see `Plan.on_stones`; the command that the plan amounts to,
-see `Plan.command`, or of robots that do not walk the command given; and the estimated distance of
-the foot that landed last from where it was to land [m]. For plans of N steps there are
-`later_footholds` (N - 1, 3), too [m]."""
+of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts
+to, see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there
+are `later_footholds` (N - 1, 3), too [m]."""
 
 _VECTORS = (
     *("body_position", "body_velocity"),
@@ -158,8 +149,7 @@ class PlannedReference(SeededTransform):
     def begin(self, present: TensorDictBase) -> TensorDictBase:
         """Write the entries of robots that start, with those that the transform reads; in place."""
         phase = cast("Tensor", present["phase"])
-        state = self._started(present)
-        return self._written(present, state, 0 * state.since[:, None]).set("phase", phase)
+        return self._written(present, self._started(present)).set("phase", phase)
 
     def go_on(self, past: TensorDictBase, present: TensorDictBase) -> TensorDictBase:
         """Write the entries a policy step after `past`, see `begin`; in place."""
@@ -171,14 +161,13 @@ class PlannedReference(SeededTransform):
         turned = rotate_about_vertical(
             aim - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
         )
-        miss = missed(past, present, state, turned)
         aim = torch.where(flies, turned[:, :2], torch.nan)
         if self._stands:
             begins = cast("Tensor", past["mode"]) != WalkMode.WALK
             first = self._started(present).to_rows()
             state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
-            aim, miss = torch.where(begins, torch.nan, aim), torch.where(begins, 0.0, miss)
-        return self._written(present, state, miss, aim)
+            aim = torch.where(begins, torch.nan, aim)
+        return self._written(present, state, aim)
 
     def _started(self, found: TensorDictBase) -> WalkState:
         odometry = cast("TensorDictBase", found["odometry"])
@@ -212,14 +201,13 @@ class PlannedReference(SeededTransform):
         )
 
     def _written(
-        self, into: TensorDictBase, state: WalkState, miss: Tensor, aim: Tensor | None = None
+        self, into: TensorDictBase, state: WalkState, aim: Tensor | None = None
     ) -> TensorDictBase:
         """Plan from a state, and write reference, target, plan, odometry and phase."""
         shift = state.body_position[:, :2].clone()
         aim = None if aim is None else aim - shift
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
-        plan["miss"] = miss
         turn = later.heading.angle
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)

@@ -60,20 +60,18 @@ are new."""
 
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.06,
-        "height": 0.09,
-        "path_diff": 0.04,
-        "heading_diff": 0.06,
-        "level": 0.06,
-        "foot_orient": 0.04,
-        "action_diff": 0.04,
-        "power": 0.03,
-        "landing": 0.06,
-        "squeeze": 0.02,
-        "feet_apart": 0.15,
-        "footstep": 0.2,
-        "stumble": 0.08,
-        "speed_diff": 0.07,
+        "com_vel": 0.08,
+        "foot_pos": 0.05,
+        "path_diff": 0.07,
+        "heading_diff": 0.08,
+        "level": 0.08,
+        "foot_orient": 0.05,
+        "action_diff": 0.05,
+        "power": 0.05,
+        "landing": 0.07,
+        "squeeze": 0.03,
+        "feet_apart": 0.3,
+        "speed_diff": 0.09,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -334,54 +332,3 @@ def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> 
         scale: difference s at which the term is 1/e [m/s].
     """
     return torch.exp(-_norm(pelvis_velocity[..., :2] - command[..., :2]) / scale)
-
-
-def height(
-    pelvis_position: Tensor, ground_height: Tensor, body_position: Tensor, scale: float = 0.03
-) -> Tensor:
-    r""":math:`\exp(-|z - z_g - \hat z| / s)`, the height of the pelvis above the ground.
-
-    A foot in flight touches the ground too early below a pelvis that is too low. Ours.
-
-    Args:
-        pelvis_position: (*b, 3) [m, world].
-        ground_height: (*b, 1) height of the ground below the feet [m, world].
-        body_position: (*b, 3) body of the reference above the ground [m].
-        scale: difference s at which the term is 1/e [m].
-    """
-    high = pelvis_position[..., 2:] - ground_height
-    return torch.exp(-(high - body_position[..., 2:]).abs() / scale)
-
-
-def stumble(
-    ground_force: Tensor,
-    left_foot_velocity: Tensor,
-    right_foot_velocity: Tensor,
-    scale: float = 0.1,
-) -> Tensor:
-    r""":math:`\exp(-\sum_i F_i \|\hat v_i\| / (s W))`, load on feet that should be moving.
-
-    W is the nominal robot's weight. Ours.
-
-    Args:
-        ground_force: (*b, 2, 3) force of the ground on the left and the right foot [N, world], mean
-            of a policy step.
-        left_foot_velocity: (*b, 3) of the reference [m/s].
-        right_foot_velocity: (*b, 3) of the reference [m/s].
-        scale: speed s of a foot with the whole weight on it at which the term is 1/e [m/s].
-    """
-    speed = torch.cat([_norm(left_foot_velocity), _norm(right_foot_velocity)], -1)
-    load = ground_force[..., 2].clamp(min=0.0) / _WEIGHT
-    return torch.exp(-(speed * load).sum(-1, keepdim=True) / scale)
-
-
-def footstep(miss: Tensor, scale: float = 0.03) -> Tensor:
-    r""":math:`\exp(-d / s)`, d the distance of the foot that landed last from its foothold.
-
-    Ours. A term that compares feet in flight mostly earns by what they do far from the ground.
-
-    Args:
-        miss: (*b, 1) estimated distance, until the next foot lands [m].
-        scale: distance s at which the term is 1/e [m].
-    """
-    return torch.exp(-miss / scale)

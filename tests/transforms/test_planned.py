@@ -70,21 +70,6 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
     assert walk["heading"].amax() > 3
 
 
-def test_a_plan_knows_by_how_much_the_last_foot_missed_its_foothold(walk: Any) -> None:
-    """The distance in the world, of the foot that has just become the one in stance."""
-    miss, changes = walk["plan", "miss"][..., 0], 0
-    heading, origin = walk["heading"], walk["odometry", "origin"]
-    stance = WalkState.from_rows(walk["plan", "state"].flatten(0, 1)).stance.reshape(NUM, -1)
-    for robot, at in (miss[:, 1:] != miss[:, :-1]).nonzero().tolist():
-        planned = rotate_about_vertical(walk["plan", "foothold"], heading) + origin
-        foot = walk["odometry", f"{SIDES[int(stance[robot, at + 1])]}_foot_position"]
-        found = rotate_about_vertical(foot, heading) + origin
-        away = (found[robot, at + 1] - planned[robot, at])[:2].norm()
-        assert miss[robot, at + 1].item() == pytest.approx(away.item(), abs=1e-5)
-        changes += 1
-    assert changes > 2 * NUM
-
-
 def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
     target: Any = walk["target"].flatten(0, 1)
     feet = torch.stack([target[f"{side}_foot_position"] for side in SIDES], -2)

@@ -278,23 +278,3 @@ def test_a_level_pelvis_is_one_with_its_axis_up() -> None:
     both = torch.stack([yaw, multiply(yaw, roll)])
     found = rewards.level(both)[:, 0]
     torch.testing.assert_close(found, torch.tensor([1.0, math.exp(-math.sin(0.1) / 0.1)]))
-
-
-def test_height_is_that_above_the_ground() -> None:
-    high = torch.tensor([[0.3, 0.1, 1.1]]), torch.tensor([[0.2]]), torch.tensor([[0.0, 0.0, 0.93]])
-    assert rewards.height(*high).item() == pytest.approx(math.exp(-1), abs=1e-5)
-
-
-def test_a_foot_stumbles_if_it_is_loaded_and_should_move() -> None:
-    weight = rewards._WEIGHT
-    loads = torch.tensor([[0.0, 0.0, 0.5 * weight], [9.0, 0.0, 0.25 * weight]])[None]
-    rest, moves = torch.zeros(1, 3), torch.tensor([[0.0, 0.3, 0.4]])
-    assert rewards.stumble(loads, rest, rest).item() == 1.0
-    found = rewards.stumble(loads, rest, moves).item()
-    assert found == pytest.approx(math.exp(-0.5 * 0.25 / 0.1), abs=1e-5)
-    assert rewards.stumble(0 * loads, moves, moves).item() == 1.0
-
-
-def test_a_footstep_is_worth_less_the_further_it_missed() -> None:
-    found = rewards.footstep(torch.tensor([[0.0], [0.03]]))[:, 0]
-    torch.testing.assert_close(found, torch.tensor([1.0, math.exp(-1.0)]))
