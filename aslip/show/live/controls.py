@@ -25,8 +25,7 @@ from aslip.show.model_place import ROM_PLACES, RomPlace
 Click = Literal["pause", "step", "reset", "push", "stand", "add stone", "restore stones"]
 
 _LEGEND = (
-    "Blue is the left leg, red the right, pale in swing. A disc is the planned foothold of the foot"
-    " in swing."
+    "Blue is the left leg, red the right, pale in swing. Discs are the next planned footholds."
 )
 
 
