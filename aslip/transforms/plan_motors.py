@@ -20,7 +20,7 @@ NEAR: Final = 0.003
 class PlanMotors:
     """Motor angles, velocities and torques of plans.
 
-    They hold the pelvis level.
+    The angles hold the pelvis level.
 
     Args:
         pendulum: model of the plans.

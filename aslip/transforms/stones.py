@@ -96,6 +96,10 @@ class RandomCourse(ChosenAtReset):
     def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
         given = None if "_reset" in request else request.get(_REQUEST_KEY, None)
         if given is not None:
+            if OUTLINE_KEY in self._rows:
+                raise ConfigurationError(
+                    f"{_REQUEST_KEY} places rectangular stones, but this course has others"
+                )
             return dict.fromkeys(self._rows, cast("Tensor", given))
         count = len(self._rows[COURSE_KEY])
         chosen = torch.randint(count, request.batch_size, generator=self.generator)

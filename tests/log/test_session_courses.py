@@ -56,6 +56,9 @@ def test_touchdowns_have_the_footholds_of_the_plan(
     log, seen = walk[0], cast("Any", walk[1])
     foothold = log["/plan"].vector("foothold")
     np.testing.assert_array_equal(foothold[1:], [td["next", "plan", "foothold"][1] for td in seen])
+    later = np.stack([log["/plan"].vector(f"later_footholds_{i}") for i in range(3)], 1)
+    expected = [td["next", "plan", "later_footholds"][1] for td in seen]
+    np.testing.assert_array_equal(later[1:], expected)
     events = log["/touchdown"]
     assert len(events) >= 2
     for tick, x, y in zip(events.ticks, events["x_planned"], events["y_planned"], strict=True):

@@ -1,14 +1,16 @@
 """A training of planned footsteps starts from a policy and gives one that walks over a course."""
 
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
 from aslip.errors import ConfigurationError
+from aslip.library import Schedule
 from aslip.policy import load_policy, policy_stack
-from aslip.sim.course import pattern
+from aslip.sim.course import Course, pattern
 from recipes import stepping_stones, walk
 from recipes.stepping_stones import StonesConfig
 from tests.helpers import TINY
@@ -41,6 +43,25 @@ def test_a_policy_walks_over_a_course_of_ones_own(
     assert "the robot walked for 0.60 s" in capsys.readouterr().out
     with pytest.raises(ConfigurationError, match=r"stepping_stones\.py trains one"):
         walk.main(walk.Config(course="up"))
+
+
+def test_a_course_has_polygons_and_that_of_the_page_room_for_stones(config: StonesConfig) -> None:
+    course = pattern("straight", count=3)
+    bent = Course(course.stones, {1: np.array([[0.6, 0.0], [0.8, 0.1], [0.6, 0.2]])})
+    settings: Any = {"policy": str(config.out), "command": "0:0.5 0 0"}
+    schedule = Schedule.parse(settings["command"])
+    walker = walk.make_walker(walk.Config(**settings), schedule, bent)
+    corners = cast("torch.Tensor", walker.td["stones", "corners"])
+    assert corners[0, :5].isfinite().all()
+    np.testing.assert_array_equal(walker.env.base_env.stones[0], bent.stones)
+    live = walk.Config(**settings, live=True)
+    with pytest.raises(ConfigurationError, match="the page moves rectangular stones"):
+        walk.make_walker(live, schedule, bent)
+    stones = walk.make_walker(live, schedule, course).stones
+    assert stones is not None
+    np.testing.assert_allclose(stones[:5], course.stones, atol=1e-6)
+    assert stones[5:].shape == (10, 6)
+    assert np.isnan(stones[5:]).all()
 
 
 def test_courses_are_of_a_share_of_the_episodes() -> None:

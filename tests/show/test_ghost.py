@@ -33,6 +33,8 @@ def test_body_follows_the_robot_at_the_height_of_the_reference(library: GaitLibr
     np.testing.assert_allclose(
         ghost.left - ghost.body, td["reference", "left_foot_position"][0], atol=1e-6
     )
+    td["truth", "ground_height"] = torch.tensor([[0.3]])
+    np.testing.assert_allclose(Ghost.of(td).body, ghost.body + np.array([0, 0, 0.3]))
 
 
 def test_feet_turn_with_the_robot(library: GaitLibrary) -> None:

@@ -22,9 +22,7 @@ from aslip.transforms.base import extend_spec
 from aslip.transforms.observation import join_entries
 from aslip.transforms.plan_motors import PlanMotors, _feet, _turned
 from aslip.transforms.planned import default_planner
-from aslip.transforms.rotation import (
-    rotate_about_vertical,
-)
+from aslip.transforms.rotation import rotate_about_vertical
 
 NUM = 6
 

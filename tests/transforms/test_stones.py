@@ -147,6 +147,9 @@ def test_robots_see_and_stand_on_polygons() -> None:
     there = there - td["truth", "pelvis_position"][:, None, None, :2].double()
     assert (seen - there).abs().max() < 0.1  # noise of sight
     assert corners[:, 2:].isnan().all()
+    course = TensorDict(stones=torch.ones(2, 2, 6), batch_size=2)
+    with pytest.raises(ConfigurationError, match="rectangular stones, but this course has others"):
+        env.reset(TensorDict(course=course, batch_size=2))
     policy = aslip.load_policy("directions")
     for _ in range(10):
         td = env.step(policy(td))["next"]

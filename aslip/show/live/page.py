@@ -6,8 +6,9 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -89,7 +90,6 @@ class LivePage:
         self._fallen_turns = 0
         self._single_steps = 0
         self._error = ""
-        self._moved_stones = False
         self._drawn: TensorDictBase | None = None
         self._last_status: tuple[list[tuple[str, str, str]], str] | None = None
         size = walker.library.command_size
@@ -105,9 +105,7 @@ class LivePage:
         gui.set_panel_label(_TITLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
-        self._scene = SceneView(
-            self._server, load_model(), walker.library, ahead=walker.stones is not None
-        )
+        self._scene = SceneView(self._server, load_model(), walker.library)
         self.controls = Controls(
             self._server,
             limits=[(float(axis[0]), float(axis[-1])) for axis in walker.library.table.axes],
@@ -118,6 +116,8 @@ class LivePage:
             stones=walker.stones,
         )
         """Sliders, buttons and choices."""
+        if self.controls.stones is not None:
+            self._scene.add_stones(self.controls.stones)
         self.controls.steering.show_standing(walker.stand)
         # the walker already has its command; other settings are applied below
         self._settings = replace(self.controls.settings(), policy="", rom="through")
@@ -210,9 +210,9 @@ class LivePage:
             self.walker.stand = not self.walker.stand
             self.controls.steering.show_standing(self.walker.stand)
         elif click == "add stone" and stones is not None:
-            self._moved_stones |= stones.add_stone(self._scene.place)
+            stones.add_stone(self._scene.place)
         elif click == "restore stones" and stones is not None:
-            self._moved_stones |= stones.restore_all()
+            stones.restore_all()
         elif click == "step":
             self._single_steps += self.paused
         else:
@@ -223,11 +223,13 @@ class LivePage:
     def _place_stones(self) -> None:
         """Put stones where visitors want them."""
         stones = self.controls.stones
-        if stones is not None:
-            self._moved_stones |= stones.changed(self._scene.place)
-            if self._moved_stones:
-                self.walker.stones = stones.rows
-                self._moved_stones = False
+        if stones is None:
+            return
+        stones.apply(self._scene.place)
+        # a reset, too, moves them back to where they were at first
+        if not np.array_equal(stones.rows, cast("np.ndarray", self.walker.stones), equal_nan=True):
+            self.walker.stones = stones.rows
+            stones.draw()
 
     def _apply_settings(self) -> None:
         """Apply changed settings."""
@@ -268,13 +270,12 @@ class LivePage:
     def _reset(self) -> None:
         self.walker.reset(stand=self.walker.stand)
         self._single_steps = 0
-        self._moved_stones = True
 
     def _show(self) -> None:
         """Send the scene, and on some turns the numbers."""
         td = self.walker.td
         if td is not self._drawn:
-            self._scene.update(td, self.controls.stones)
+            self._scene.update(td)
             self._drawn = td
         if self._turns % _TURNS_PER_READOUT == 0:
             status = self._lines(), self.message

@@ -173,8 +173,8 @@ _CELL_COLOR, _SECTION_COLOR = (205, 210, 218), (150, 158, 170)
 # first position and target of the camera [m], and its vertical field of view [rad]
 _CAMERA = (2.1, 1.7, 1.1)
 _LOOK_AT = (0.0, -0.2, 0.52)
-# the same with stones, which are ahead
-_CAMERA_AHEAD, _LOOK_AHEAD = (1.7, 2.6, 1.7), (0.3, -0.1, 0.3)
+# the same on stones, of which more are seen
+_CAMERA_ON_STONES, _LOOK_AT_STONES = (1.7, 2.6, 1.7), (0.3, -0.1, 0.3)
 _FIELD_OF_VIEW = 0.6
 
 # narrowest picture, width over height, with the model beside the robot and this field of view
@@ -193,16 +193,11 @@ class RobotScene:
     Args:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
-        ahead: whether the camera shows the ground ahead.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, model: mujoco.MjModel, *, ahead: bool = False
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
-        if ahead:
-            camera.position, camera.look_at = _CAMERA_AHEAD, _LOOK_AHEAD
         server.on_client_connect(_keep_whole)
         self._world = server.scene.add_frame("/world", show_axes=False)
         self._floor = server.scene.add_grid(
@@ -257,22 +252,23 @@ class SceneView:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
         library: gaits for footholds.
-        ahead: whether the camera shows the ground ahead.
     """
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        model: mujoco.MjModel,
-        library: GaitLibrary,
-        *,
-        ahead: bool = False,
+        self, server: viser.ViserServer, model: mujoco.MjModel, library: GaitLibrary
     ) -> None:
         self._server = server
-        self._scene = RobotScene(server, model, ahead=ahead)
+        self._scene = RobotScene(server, model)
         self._rom = RomView(server.scene, library)
+        self._stones: StonesView | None = None
         self.place = ScenePlace()
-        """Where the scene is in the world."""
+        """Place of the frame `/world` in the simulated world, at the last update."""
+
+    def add_stones(self, stones: StonesView) -> None:
+        """Move stones with the ground, and let new visitors look at those in front of the robot."""
+        self._stones = stones
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = _CAMERA_ON_STONES, _LOOK_AT_STONES
 
     def place_rom(self, place: RomPlace) -> None:
         """Show the reduced-order model beside the robot, in its place, or not at all."""
@@ -280,13 +276,12 @@ class SceneView:
             self._rom.place(place)
             self._scene.robot.fade(_ROBOT_OPACITY if place == "through" else None)
 
-    def update(self, td: TensorDictBase, stones: StonesView | None = None) -> None:
+    def update(self, td: TensorDictBase) -> None:
         """Draw the present instant.
 
         Args:
             td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`,
                 and with `heading` for stacks that have it.
-            stones: stones below the robot.
         """
         truth = cast("Mapping[str, torch.Tensor]", td["truth"])
         qpos, ground = truth["qpos"][0].numpy(), self.place.ground
@@ -295,7 +290,8 @@ class SceneView:
         turn = yaw(truth["pelvis_orientation"][0].double().numpy())
         self.place = ScenePlace(qpos[:2].copy(), ground, heading, float(turn))
         with self._server.atomic():
-            self._scene.update(qpos, heading, ground, 0.0 if stones is None else stones.floor)
-            if stones is not None:
-                stones.update(self.place.pelvis)
+            floor = 0.0 if self._stones is None else self._stones.floor
+            self._scene.update(qpos, heading, ground, floor)
+            if self._stones is not None:
+                self._stones.update(self.place.pelvis)
             self._rom.update(td)

@@ -69,9 +69,9 @@ class StonesView:
     """
 
     def __init__(self, scene: viser.SceneApi, gui: viser.GuiApi, rows: np.ndarray) -> None:
-        self.rows = rows.copy()
-        """(s, 6) present stones."""
-        self._all = rows.copy()
+        self._all = rows.astype(np.float32)
+        self.rows = self._all.copy()
+        """(s, 6) stones where visitors want them, in single precision as those of the robot."""
         self._grips: queue.SimpleQueue[Grip] = queue.SimpleQueue()
         self._held: tuple[int, np.ndarray] | None = None
         self._frame = scene.add_frame("/world/stones", show_axes=False)
@@ -87,7 +87,7 @@ class StonesView:
             self.add = gui.add_button("Add a stone", icon=viser.Icon.PLUS)
             self.restore = gui.add_button("Restore the course", icon=viser.Icon.RESTORE)
             gui.add_html(note(_HELP))
-        self._draw()
+        self.draw()
 
     def take(self, message: Any, eye: np.ndarray) -> None:
         """Keep a visitor's message for the next turn; on the server's thread; see `Grip.of`."""
@@ -97,26 +97,21 @@ class StonesView:
         """Move below a robot whose pelvis is above the origin of `/world`, at (2,) [m]."""
         self._frame.position = np.array([*-pelvis, 0.0])
 
-    def changed(self, place: ScenePlace) -> bool:
-        """Apply what visitors did since the last turn; whether stones changed."""
-        before = self.rows.copy()
+    def apply(self, place: ScenePlace) -> None:
+        """Apply what visitors did since the last turn."""
         for _ in range(self._grips.qsize()):
             self._apply(self._grips.get_nowait(), place)
-        return self._drawn_after(before)
 
-    def add_stone(self, place: ScenePlace) -> bool:
-        """Add a stone at the height of the ground, if one is left; whether stones changed."""
-        before, free = self.rows.copy(), np.flatnonzero(np.isnan(self.rows[:, 0]))
+    def add_stone(self, place: ScenePlace) -> None:
+        """Add a stone at the height of the ground, if one is left."""
+        free = np.flatnonzero(np.isnan(self.rows[:, 0]))
         if len(free):
             x, y = place.pelvis + rotate_level(_NEW, np.array(place.yaw))
             self.rows[free[0]] = x, y, place.ground, place.yaw, STONE_SIZE, STONE_SIZE
-        return self._drawn_after(before)
 
-    def restore_all(self) -> bool:
-        """Put all stones back to where they were at first; whether stones changed."""
-        before = self.rows.copy()
+    def restore_all(self) -> None:
+        """Put all stones back to where they were at first."""
         self.rows = self._all.copy()
-        return self._drawn_after(before)
 
     def _apply(self, grip: Grip, place: ScenePlace) -> None:
         index = next((i for i, box in enumerate(self._boxes) if box.name == grip.name), None)
@@ -133,13 +128,8 @@ class StonesView:
         low = np.array([*place.pelvis - _FARTHEST, -_HIGHEST])
         stone[:3] = point.clip(low, [*place.pelvis + _FARTHEST, _HIGHEST])
 
-    def _drawn_after(self, before: np.ndarray) -> bool:
-        if np.array_equal(before, self.rows, equal_nan=True):
-            return False
-        self._draw()
-        return True
-
-    def _draw(self) -> None:
+    def draw(self) -> None:
+        """Draw the present stones."""
         for box, row in zip(self._boxes, self.rows, strict=True):
             box.visible = bool(np.isfinite(row[0]))
             if box.visible:

@@ -11,9 +11,11 @@ pytest.importorskip("viser", reason="the extra 'live' is not installed")
 import aslip
 from aslip.envs import EPISODE_ENDS
 from aslip.envs.directions import course_stack, planned_stack
+from aslip.robot import SIDES
 from aslip.show.live import LivePage
 from aslip.show.live.stones import Grip, ScenePlace
 from aslip.sim.course import pattern
+from aslip.transforms.plan_state import footholds_in_world, landing_foot
 from aslip.walking import Walker
 from tests.show.live.helpers import wait_for
 from tests.show.live.visitor import Visitor, visit
@@ -36,7 +38,7 @@ def page() -> Iterator[Any]:
 
 @pytest.fixture
 def course(page: Any) -> np.ndarray:
-    """Stones at the start, all in their places; the robot has just begun."""
+    """Stones at the start, all in their places, a policy step after the robot's."""
     page.controls.stones.restore.value = True
     page.controls.reset.value = True
     page.turn()
@@ -160,3 +162,23 @@ def test_stones_stay_near_the_robot():
         found = place.gripped(Grip("", "update", np.array(point), EYE, upright=False), 0.2)
         assert np.isfinite(found).all()
         assert found[2] == 0.2
+        assert np.linalg.norm(found[:2] - place._in_world(EYE)[:2]) <= 10 + 1e-9
+
+
+def test_discs_are_at_the_footholds_of_the_plan_while_the_robot_walks(page: Any, course):
+    def discs() -> np.ndarray:
+        names = [f"/world/footholds/{side}_{i}" for side in SIDES for i in range(2)]
+        found = map(page._server.scene.get_handle_by_name, names)
+        return np.array([disc.position for disc in found if disc.visible])
+
+    footholds = footholds_in_world(page.walker.td)[0].numpy()
+    truth = page.walker.td["truth", "pelvis_position"][0, :2].numpy()
+    drawn = discs()
+    assert len(drawn) == len(footholds) == 4
+    first = int(landing_foot(page.walker.td))
+    order = [0, 2, 1, 3] if first == 0 else [2, 0, 3, 1]  # drawn by foot
+    np.testing.assert_allclose(drawn[order, :2], footholds[:, :2] - truth, atol=1e-4)
+    page.walker.reset(stand=True)
+    page.turn()
+    assert not len(discs())
+    page.walker.stand = False
