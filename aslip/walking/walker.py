@@ -175,7 +175,8 @@ class Walker:
     def stones(self, stones: np.ndarray) -> None:
         if COURSE_KEY not in self.td.keys(True):
             raise ConfigurationError("the robot is on no course; make its stack by `course_stack`")
-        placed = torch.as_tensor(stones).float()[None]
+        # a copy, which does not follow the caller's array
+        placed = torch.tensor(stones, dtype=torch.float32)[None]
         if placed.shape != self.td[COURSE_KEY].shape:
             expected = tuple(self.td[COURSE_KEY].shape[1:])
             raise ShapeError(f"stones must have shape {expected}, got {tuple(placed.shape[1:])}")

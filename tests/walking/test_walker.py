@@ -121,7 +121,9 @@ def test_stones_move_while_the_robot_walks() -> None:
     stones = walker.stones
     assert stones is not None
     stones[0, 2], stones[1:] = -0.5, np.nan
-    walker.stones = stones
+    walker.stones = given = stones.astype(np.float32)
+    given[0, 2] = 0.7  # later changes of the caller's array do not count
+    assert cast("np.ndarray", walker.stones)[0, 2] == -0.5
     walker.step()
     seen = cast("torch.Tensor", walker.td["stones", "height"])[0]
     assert int(seen.isfinite().sum()) == 1

@@ -97,15 +97,21 @@ def test_a_dragged_stone_follows_the_pointer_and_the_robot_stands_on_it(page: An
     )
 
 
-def test_with_shift_a_stone_moves_up(page: Any, course):
-    with visit(page) as visitor:
-        point = in_scene(page, course[STONE, :3])
-        drag(
-            page, visitor, f"/world/stones/{STONE}", point, point + np.array([0, 0, 0.1]),
-            modifier="shift",
-        )  # fmt: skip
-        page.turn()
-    assert page.walker.stones[STONE, 2] == pytest.approx(0.1, abs=0.01)
+def test_with_shift_a_stone_moves_up_turn_by_turn(page: Any, course):
+    """Robot and picture have each of its heights."""
+    for height in (0.1, 0.2):
+        with visit(page) as visitor:
+            point = in_scene(page, course[STONE, :3])
+            drag(
+                page, visitor, f"/world/stones/{STONE}", point, point + np.array([0, 0, 0.1]),
+                modifier="shift",
+            )  # fmt: skip
+            page.turn()
+        assert page.walker.stones[STONE, 2] == pytest.approx(height, abs=0.01)
+        assert page.walker.env.base_env.stones[0, STONE, 2] == page.walker.stones[STONE, 2]
+        box = page._server.scene.get_handle_by_name(f"/world/stones/{STONE}")
+        top = box.position[2] + box.dimensions[2] / 2
+        assert top == pytest.approx(height, abs=0.01)
 
 
 def test_a_click_takes_a_stone_away_and_another_is_added(page: Any, course):
