@@ -238,7 +238,11 @@ class Plan:
             self.clearance,
             (step.elapsed - step.shift).clip(0.0),
         )
-        down = (step.elapsed < step.shift) | (step.elapsed >= step.landing)
+        landed = step.elapsed >= step.landing
+        down = landed | (step.elapsed < step.shift)
+        velocity, acceleration = (
+            xp.where(landed[:, None], rest, a) for a in (velocity, acceleration)
+        )
         feet = Track(_by_side(side, step.stance, position), _by_side(side, rest, velocity))
         return feet, _by_side(side, rest, acceleration), _by_side(side, down | True, down)
 

@@ -140,6 +140,9 @@ def quintic(
 _TOP = -20 / 3
 # time before its touchdown at which a foot is above its foothold [s]
 _SETTLE = 0.05
+# speed at which a foot touches the ground: one that came to rest there would land long before its
+# time at the least error of its height [m/s]
+_SINKING = 0.8
 # time of a swing before its top below which the foot goes straight down [s]
 _LATE = 0.03
 
@@ -186,7 +189,10 @@ def swing(
     now = tuple(one[:, 2] for one in foot)
     at_top = (top, zero, bend)
     begin = [xp.where(rising | falling_first, a, b) for a, b in zip(now, at_top, strict=True)]
-    ends = [xp.where(rising, a, b) for a, b in zip(at_top, (target[:, 2], zero, zero), strict=True)]
+    ends = [
+        xp.where(rising, a, b)
+        for a, b in zip(at_top, (target[:, 2], zero - _SINKING, zero), strict=True)
+    ]
     began = xp.where(rising | falling_first, zero, to_top)
     span = xp.where(rising, to_top, left - began)
     height = quintic(

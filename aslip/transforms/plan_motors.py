@@ -51,8 +51,10 @@ class PlanMotors:
         moved = around_z + torch.nn.functional.pad(_turned(torch.stack(moves), -yaw), (0, 1))
         angle, by_target = self.legs.motors(position, heading)
         slow, velocity, fast = (by_target @ moved[..., None])[..., 0].flatten(-2)
-        # a motor that gets to a limit or leaves it between them has no acceleration
+        # a motor that gets to a limit or leaves it between them has no acceleration, nor has a leg
+        # whose foot touches the ground, in which it stops at once
         free = (slow != 0) & (fast != 0)
+        free &= (before.contact == after.contact).repeat_interleave(free.shape[-1] // 2, -1)
         acceleration = torch.where(free, (fast - slow) / (2 * NEAR), 0.0)
         force = _turned(later.ground_force, -yaw[1])
         weight = force.new_tensor([0.0, 0.0, self.pendulum.gravity])
