@@ -294,6 +294,7 @@ def random_stones(
     count: int = 20,
     size: float = STONE_SIZE,
     difficulty: float = 1.0,
+    step: float = 0.4,
 ) -> np.ndarray:
     """Stones (num, count + 2, 6) of random courses, without checks, for many robots.
 
@@ -307,14 +308,15 @@ def random_stones(
         count: stones between the platforms.
         size: side of a stone [m].
         difficulty: from 0 to 1.
+        step: length of steps at difficulty 0 [m].
     """
     size = check_number("size", size, 0.05, 0.6, "of stones [m]")
     difficulty = check_number("difficulty", difficulty, 0.0, 1.0)
     check_count("count", count, most=MOST_STONES - 2)
     low, high = np.array([[-0.15], [-0.1], [-0.1]]), np.array([[0.25], [0.1], [0.1]])
     draws = difficulty * generator.uniform(low, high, (num, 3, count))
-    step = np.maximum(0.4 + draws[:, 0], size + 0.02)
-    return _lay(step, sideways=draws[:, 1], rise=draws[:, 2], size=size)
+    steps = np.maximum(step + draws[:, 0], size + 0.02)
+    return _lay(steps, sideways=draws[:, 1], rise=draws[:, 2], size=size)
 
 
 def random_course(

@@ -1,4 +1,4 @@
-"""Walks over courses of stones: random ones by difficulty, the eight patterns, and stairs.
+"""Walks over courses of stones: random ones, the eight patterns, stairs, and stones that vanish.
 
     python -m benchmarks.planning.stepping_stones
 
@@ -6,6 +6,9 @@ Each robot of a batch walks another course, at a random speed and phase, led alo
 middle. A course is completed when the pelvis is above the last stone. A stone is left when the
 robot falls, or a loaded foot is deeper than a stone's top. Stacks with a planner, which writes
 `("plan", ...)`, see the stones; others walk blindly.
+
+In the row of vanishing stones, these are close together, and the one to which a foot in flight goes
+is taken away at once. It counts how many walk on, or stand, without leaving the others.
 
 Touchdowns are compared with the last plan before them: distance of the foot's centre from the
 foothold, and time. The simulator gives contacts for whole policy steps, so the time within a step
@@ -33,6 +36,8 @@ class Config(Directions):
     """Patterns of courses, see `aslip.sim.course.PATTERNS`."""
     stairs: tuple[float, ...] = (0.1, -0.1, 0.15, -0.15)
     """Heights of the steps of stairs [m]; negative ones lead down."""
+    vanishing: bool = True
+    """Whether there are walks in which a stone vanishes; they need a planner."""
     trials: int = 100
     """Walks of each kind of course."""
     count: int = 20
@@ -71,7 +76,7 @@ from aslip.show.palette import ROBOT
 from aslip.sim.course import ground_height, pattern, random_stones, stairs, stone_distances
 from aslip.transforms import RandomCourse, SeenStones
 from aslip.transforms.plan_state import footholds_in_world
-from aslip.transforms.stones import along_course
+from aslip.transforms.stones import COURSE_KEY, along_course
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
 from benchmarks.common import Policies, Report, Subject, benchmark, table
@@ -80,6 +85,10 @@ from benchmarks.common import Policies, Report, Subject, benchmark, table
 _DEEP = 0.05
 # load of a foot that has landed [N]
 _LANDED = 50.0
+# row of stones that vanish, and their distance in the direction of the walk [m]
+_VANISHING, _CLOSE = "vanishing", 0.22
+# the first that may vanish, time until the touchdown then, and that of the walk after it [s]
+_THIRD, _LEFT, _AFTER = 3, (0.12, 0.2), 4.0
 # times for a course, in multiples of that at the commanded speed and beyond it [s]
 _PATIENCE, _START = 1.5, 5.0
 
@@ -94,9 +103,11 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
         for subject in subjects:
             with closing(environment(config, subject, courses)) as env, commands_kept(env):
                 for name, stones in courses.items():
-                    walks[name].append(walk_courses(config, subject, env, stones))
+                    vanishes = name == _VANISHING
+                    if not vanishes or "plan" in env.observation_spec:
+                        walks[name].append(walk_courses(config, subject, env, stones, vanishes))
                     bar.update()
-    rows = [{"course": name, **row_of(results)} for name, results in walks.items()]
+    rows = [{"course": name, **row_of(results)} for name, results in walks.items() if results]
     return Report(rows, table(COLUMNS, rows), picture(config, rows))
 
 
@@ -112,6 +123,9 @@ def courses_of(config: Config) -> dict[str, np.ndarray]:
     for rise in config.stairs:
         flight = stairs(rise, steps=config.count + 1).stones
         courses[f"stairs {rise:+g} m"] = np.repeat(flight[None], config.trials, 0)
+    if config.vanishing:
+        close = random_stones(rng, config.trials, difficulty=0.0, step=_CLOSE, **shape)
+        courses[_VANISHING] = close
     return courses
 
 
@@ -129,9 +143,12 @@ def environment(config: Config, subject: Subject, courses: dict[str, np.ndarray]
 
 
 def walk_courses(
-    config: Config, subject: Subject, env: StackEnv, stones: np.ndarray
+    config: Config, subject: Subject, env: StackEnv, stones: np.ndarray, vanishing: bool = False
 ) -> dict[str, np.ndarray]:
-    """Walk over stones (n, s, 6): (n,) `completed`, and `distance` and `late` of touchdowns."""
+    """Walk over stones (n, s, 6): (n,) `completed`, and `distance` and `late` of touchdowns.
+
+    With `vanishing`, a walk is completed a while after one of its stones has vanished.
+    """
     num, rng = len(stones), np.random.default_rng(config.seed)
     speed = rng.uniform(config.slowest, config.fastest, num)
     request = {
@@ -148,7 +165,12 @@ def walk_courses(
     walking, completed = np.ones(num, dtype=bool), np.zeros(num, dtype=bool)
     frames = [frame_of(td, stones, walking)]
     places, speeds = torch.as_tensor(stones), torch.as_tensor(speed)[:, None]
-    for _ in range(steps):
+    stones, lost = stones.copy(), np.full(num, steps)
+    first = rng.integers(_THIRD, max(stones.shape[1] // 2, _THIRD + 1), num)
+    for step in range(steps):
+        if vanishing:
+            first = np.where(walking & (lost == steps), first, stones.shape[1])
+            lost[take_stones(env, td, stones, first)] = step
         pose = [torch.as_tensor(frames[-1][name]) for name in ("pelvis", "yaw")]
         command = along_course(places, pose[0], pose[1][:, None], speeds)
         td["command"] = command[:, : td["command"].shape[1]].to(td["command"])
@@ -157,6 +179,8 @@ def walk_courses(
         frame = frame_of(outcome, stones, walking)
         walking = walking & ~(frame["left"] | outcome["terminated"][:, 0].cpu().numpy())
         goal = stone_distances(stones[:, -1:], frame["pelvis"][:, None])[:, 0, 0] == 0
+        if vanishing:
+            goal = (lost < steps) & (goal | ((step - lost) * CASSIE.policy_period > _AFTER))
         completed |= walking & goal
         walking = walking & ~completed
         frames.append(frame)
@@ -165,6 +189,31 @@ def walk_courses(
         td = next_start(after)
     seen = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
     return {"completed": completed, **touchdowns(seen)}
+
+
+def take_stones(
+    env: StackEnv, td: TensorDictBase, stones: np.ndarray, first: np.ndarray
+) -> np.ndarray:
+    """Take away the stones (n, s, 6) to which feet in flight go, in place.
+
+    Args:
+        env: environment.
+        td: entries of its robots.
+        stones: their stones.
+        first: (n,) index of the first stone that may be taken from each.
+
+    Returns:
+        Indices of the robots that have lost one.
+    """
+    left = cast("torch.Tensor", td["plan", "time"])[:, 0].numpy()
+    aim = footholds_in_world(td)[:, :1, :2].double().numpy()
+    nearest = stone_distances(stones, aim)[:, 0].argmin(-1)
+    rows = np.flatnonzero((nearest >= first) & (left > _LEFT[0]) & (left < _LEFT[1]))
+    if len(rows):
+        stones[rows, nearest[rows]] = np.nan
+        env.base_env.set_stones(stones)
+        td[COURSE_KEY] = torch.as_tensor(stones, dtype=torch.float32)
+    return rows
 
 
 def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,9 +1,14 @@
 """Benchmarks of the planner recover what is known."""
 
 import numpy as np
+import torch
 
+import aslip
+from aslip.envs.directions import course_stack, planned_stack
 from aslip.planning import BatchPlanner, Pendulum, Planner
+from aslip.policy import load_policy
 from aslip.sim.course import random_stones, stairs
+from aslip.transforms.plan_state import footholds_in_world
 from aslip.transforms.planned import default_planner
 from aslip.walking import Walks
 from aslip.walking.record import commands_kept
@@ -114,6 +119,30 @@ def test_courses_are_completed_unless_a_robot_leaves_a_stone():
     env.close()
     assert walked["completed"].tolist() == [True, False]
     assert np.isnan(walked["distance"]).all()
+
+
+def test_the_stone_vanishes_to_which_a_foot_in_flight_goes():
+    """It is taken from the ground and from sight, of one robot only."""
+    courses = random_stones(np.random.default_rng(0), 2, count=6, difficulty=0.0, step=0.22)
+    env = aslip.make_env(num_envs=2, seed=0, stack=course_stack(planned_stack(), courses))
+    td = env.reset()
+    td["stones", "course"] = torch.as_tensor(courses, dtype=torch.float32)
+    env.base_env.set_stones(courses)
+    policy, stones = load_policy("directions"), courses.copy()
+    for _ in range(100):
+        before = footholds_in_world(td)[0, 0, :2]
+        rows = stepping_stones.take_stones(env, td, stones, np.array([1, 99]))
+        if len(rows):
+            break
+        td = env.step_mdp(env.step(policy(td)))
+    assert rows.tolist() == [0]
+    gone = int(np.isnan(stones[0, :, 0]).argmax())
+    distance = np.linalg.norm(courses[0, :, :2] - before.numpy(), axis=-1)
+    assert distance[1:-1].argmin() + 1 == gone
+    np.testing.assert_array_equal(stones[1], courses[1])
+    np.testing.assert_array_equal(env.base_env.stones, stones)
+    seen = np.asarray(td["stones", "course"])
+    np.testing.assert_allclose(seen, stones, atol=1e-6)
 
 
 def test_the_planner_is_compared_with_brute_force(capsys):
