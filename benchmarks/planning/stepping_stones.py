@@ -205,14 +205,14 @@ def take_stones(
     Returns:
         Indices of the robots that have lost one.
     """
-    left = cast("torch.Tensor", td["plan", "time"])[:, 0].numpy()
-    aim = footholds_in_world(td)[:, :1, :2].double().numpy()
+    left = cast("torch.Tensor", td["plan", "time"])[:, 0].cpu().numpy()
+    aim = footholds_in_world(td)[:, :1, :2].double().cpu().numpy()
     nearest = stone_distances(stones, aim)[:, 0].argmin(-1)
     rows = np.flatnonzero((nearest >= first) & (left > _LEFT[0]) & (left < _LEFT[1]))
     if len(rows):
         stones[rows, nearest[rows]] = np.nan
         env.base_env.set_stones(stones)
-        td[COURSE_KEY] = torch.as_tensor(stones, dtype=torch.float32)
+        td[COURSE_KEY] = torch.as_tensor(stones, dtype=torch.float32, device=td.device)
     return rows
 
 

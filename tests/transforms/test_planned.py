@@ -20,7 +20,7 @@ from aslip.robot import SIDES
 from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps, SeededTransform
 from aslip.transforms.base import extend_spec
 from aslip.transforms.observation import join_entries
-from aslip.transforms.plan_motors import PlanMotors, _feet, _turned
+from aslip.transforms.plan_motors import NEAR, PlanMotors, _feet, _turned
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -108,6 +108,20 @@ def test_motor_torques_carry_and_accelerate_the_legs(walk: Any) -> None:
     for name, value, error in (("torque", expected, 2.0), ("velocity", velocity, 0.2)):
         found = motors[f"motor_{name}"]
         torch.testing.assert_close(found[smooth], value[smooth], rtol=0, atol=error)
+
+
+def test_a_foot_that_stops_at_its_touchdown_accelerates_no_motor() -> None:
+    """Counted as an acceleration, the speed that it loses would add 70 N m."""
+    planner = default_planner()
+    motors = PlanMotors(planner.program.pendulum)
+    start = aslip.make_env(num_envs=1, seed=0, stack=planned_stack()).reset()["plan", "state"]
+    state = WalkState.from_rows(cast("torch.Tensor", start).double())
+    plan = planner.plan(state, torch.tensor([[0.5, 0.0, 0.0]]).double())
+    torques = []
+    for before in (0.001, 0.006):
+        first, at, last = (plan.sample(plan.time[:, 1] - before + s) for s in (-NEAR, 0, NEAR))
+        torques.append(motors(at, (first, last))["motor_torque"])
+    assert (torques[0] - torques[1]).abs().amax() < 20
 
 
 def test_random_footsteps_displace_the_next_foothold() -> None:

@@ -141,8 +141,9 @@ def test_the_stone_vanishes_to_which_a_foot_in_flight_goes():
     assert distance[1:-1].argmin() + 1 == gone
     np.testing.assert_array_equal(stones[1], courses[1])
     np.testing.assert_array_equal(env.base_env.stones, stones)
-    seen = np.asarray(td["stones", "course"])
-    np.testing.assert_allclose(seen, stones, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(td["stones", "course"]), stones, atol=1e-6)
+    corners = torch.as_tensor(env.step(policy(td))["next", "stones", "corners"])
+    assert corners.isfinite().flatten(2).all(-1).sum(-1).tolist() == [7, 8]
 
 
 def test_the_planner_is_compared_with_brute_force(capsys):
