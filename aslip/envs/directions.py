@@ -171,6 +171,10 @@ def planned_stack(
             [(source, foot) for foot in feet],
             [("target", foot) for foot in feet],
         ),
+        rewards.touchdown: (
+            [("truth", "ground_force")],
+            [("plan", "state"), ("plan", "time"), "mode"],
+        ),
         rewards.level: ([(source, "pelvis_orientation")], []),
         rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", _FILTERED)]),
     }

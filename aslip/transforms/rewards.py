@@ -1,10 +1,11 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and seven of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and nine of our own.
 
 Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
 the largest force on a foot, and friction that the feet spend against each other; the place of
-one foot relative to the other; and the commanded speed. Every term is
-:math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper; the
-public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
+one foot relative to the other, the time of its touchdown and a level pelvis; and the commanded
+speed. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in
+the paper; the public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in,
+(*b, 1) out.
 
 "World" is the frame in which the caller gives the robot's poses, z up and x straight ahead; the
 stacks pass the heading frame. The reference is in the same axes.
@@ -18,6 +19,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from aslip.library import WalkMode
+from aslip.planning import Pendulum
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.transforms.rotation import (
     conjugate,
@@ -60,17 +63,18 @@ are new."""
 
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.08,
-        "foot_pos": 0.05,
-        "path_diff": 0.07,
+        "com_vel": 0.06,
+        "foot_pos": 0.03,
+        "path_diff": 0.05,
         "heading_diff": 0.08,
         "level": 0.08,
         "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.05,
-        "landing": 0.07,
+        "landing": 0.05,
         "squeeze": 0.03,
-        "feet_apart": 0.3,
+        "feet_apart": 0.28,
+        "touchdown": 0.1,
         "speed_diff": 0.09,
     }
 )
@@ -304,6 +308,40 @@ def feet_apart(
     """
     apart = left_foot_position - right_foot_position
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
+
+
+def touchdown(
+    ground_force: Tensor,
+    state: Tensor,
+    time: Tensor,
+    mode: Tensor,
+    double_stance: float = Pendulum.double_stance,
+    scale: float = 0.1,
+) -> Tensor:
+    r""":math:`\exp(-F / (s W))`, F the load that a foot has in flight or lacks after its touchdown.
+
+    W is the nominal robot's weight, and :math:`s W` the load that a foot has at least when it is
+    down. Neither counts in policy steps in which the plan lifts the foot or puts it down, nor of
+    robots that do not walk. Ours, for feet that land when they should.
+
+    Args:
+        ground_force: (*b, 2, 3) force of the ground on left and right foot [N, world], mean of a
+            policy step.
+        state: (*b, 31) state of the plan after it, see `aslip.planning.WalkState.to_rows`.
+        time: (*b, 1) time until the plan's next touchdown, when the policy step began [s].
+        mode: (*b, 1) `aslip.library.WalkMode`.
+        double_stance: time after a touchdown at which the other foot lifts off [s].
+        scale: force over weight s at which the term is 1/e.
+    """
+    stance, since = state[..., -2:-1], state[..., -1:]
+    left, right = (ground_force[..., 2] / _WEIGHT).split(1, dim=-1)
+    stood, swung = torch.where(stance > 0, right, left), torch.where(stance > 0, left, right)
+    period = CASSIE.policy_period
+    flies = (since > double_stance + period) & (time > period)
+    # a foot below the edge of a stone is pushed down
+    early = torch.where(flies, swung.clamp(min=0.0), 0.0)
+    late = torch.where(since > period, (scale - stood).clamp(min=0.0), 0.0)
+    return torch.exp(-torch.where(mode == WalkMode.WALK, early + late, 0.0) / scale)
 
 
 def level(pelvis_orientation: Tensor, scale: float = 0.1) -> Tensor:

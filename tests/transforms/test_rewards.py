@@ -8,6 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from aslip.library import WalkMode
+from aslip.planning import WalkState
 from aslip.transforms import rewards
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse
 
@@ -278,3 +280,28 @@ def test_a_level_pelvis_is_one_with_its_axis_up() -> None:
     both = torch.stack([yaw, multiply(yaw, roll)])
     found = rewards.level(both)[:, 0]
     torch.testing.assert_close(found, torch.tensor([1.0, math.exp(-math.sin(0.1) / 0.1)]))
+
+
+def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
+    cases = [  # loads on stance and swing foot [weights], since, time to touchdown [s], mode
+        (1.0, 0.0, 0.3, 0.2, WalkMode.WALK, 0.0),
+        (1.0, 0.05, 0.3, 0.2, WalkMode.WALK, 0.05),
+        (1.0, 0.05, 0.3, 0.02, WalkMode.WALK, 0.0),  # lands in this policy step
+        (1.0, 0.05, 0.12, 0.2, WalkMode.WALK, 0.0),  # lifts off in it
+        (1.0, -0.5, 0.3, 0.2, WalkMode.WALK, 0.0),  # is pushed down by the edge of a stone
+        (0.0, 1.0, 0.05, 0.3, WalkMode.WALK, 0.1),
+        (0.06, 1.0, 0.05, 0.3, WalkMode.WALK, 0.04),
+        (0.0, 1.0, 0.02, 0.3, WalkMode.WALK, 0.0),  # has landed in it
+        (0.0, 1.0, 0.3, 0.2, WalkMode.STAND, 0.0),
+    ]
+    for stance in (0, 1):
+        for stood, swung, since, time, mode, missed in cases:
+            load = [stood, swung] if stance == 0 else [swung, stood]
+            force = torch.zeros(1, 2, 3)
+            force[0, :, 2] = torch.tensor(load) * 33.312 * 9.81
+            state = torch.zeros(1, WalkState.SIZE)
+            state[0, -2:] = torch.tensor([stance, since])
+            found = rewards.touchdown(
+                force, state, torch.tensor([[time]]), torch.tensor([[float(mode)]])
+            )
+            assert found.item() == pytest.approx(math.exp(-missed / 0.1), abs=1e-4)
