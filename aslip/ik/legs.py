@@ -78,19 +78,23 @@ class LegTable:
         angle = pose.angle.clip(leg.lower, leg.upper)
         return angle.reshape(*angle.shape[:-2], 10), jacobian
 
-    def torque(self, position: Array, heading: Array, force: Array) -> Array:
+    def torque(
+        self, position: Array, heading: Array, force: Array, ahead: Array | float = 0.0
+    ) -> Array:
         """Motor torques that balance ground forces on the soles, as `static_torque`'s.
 
         Args:
             position: (*b, 2, 3) as in `motors`.
             heading: (*b, 2) as in `motors`.
-            force: (*b, 2, 3) force of the ground on each sole's centre, in the same frame [N].
+            force: (*b, 2, 3) force of the ground on each sole, in the same frame [N].
+            ahead: (*b, 2) distance of the centre of pressure ahead of the sole's centre, along the
+                toes [m].
 
         Returns:
             (*b, 10) torques at the joints [N m], motor order.
         """
         leg, _ = self._like(position)
-        torque = _torque(leg, _pose(leg, position, heading), force)
+        torque = _torque(leg, _pose(leg, position, heading), force, ahead)
         return torque.reshape(*torque.shape[:-2], 10)
 
     def inertial_torque(
@@ -257,23 +261,24 @@ def _rows(turns: tuple[Array, Array, Array, Array]) -> list[list[Array]]:
     return [ahead, [-sin_y, cos_y * cos_r, cos_y * sin_r], [0 * cos_y, -sin_r, cos_r]]
 
 
-def _torque(leg: _Leg, pose: _Pose, force: Array) -> Array:
-    """(*b, 2, 5) torques that balance forces (*b, 2, 3)."""
+def _torque(leg: _Leg, pose: _Pose, force: Array, pressed: Array | float) -> Array:
+    """(*b, 2, 5) torques that balance forces (*b, 2, 3), at (*b, 2) ahead of the centres."""
     xp, (_, _, cos_y, sin_y) = namespace(force), pose.turns
     ahead, left, up = (
         sum(row[i][..., 0] * force[..., i] for i in range(3)) for row in _rows(pose.turns)
     )
     desired = pose.foot.real**2 + pose.foot.imag**2
     foot = pose.foot * (pose.squared / desired) ** 0.5
-    centre = foot + pose.sole
+    sole = pose.sole + pressed * pose.toes
+    centre = foot + sole
     x, y, z = centre.imag, leg.depth, leg.drop - centre.real
     knee, direction, tarsus = (pose.table[..., i] for i in (3, 4, 5))
-    by_knee = (foot * (0.5 / pose.squared + 1j * direction) + 1j * tarsus * pose.sole) / knee
+    by_knee = (foot * (0.5 / pose.squared + 1j * direction) + 1j * tarsus * sole) / knee
     pull = 1j * ahead - up
     moments = [
         sin_y * z * ahead + cos_y * z * left - (cos_y * y + sin_y * x) * up,
         y * ahead - x * left,
-        *(-(arm.conj() * pull).real for arm in (1j * centre, by_knee, 1j * pose.sole)),
+        *(-(arm.conj() * pull).real for arm in (1j * centre, by_knee, 1j * sole)),
     ]
     return xp.stack(moments, -1)
 

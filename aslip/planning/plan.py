@@ -27,6 +27,8 @@ class PlanSample:
     """(m, 2, 3) [m/s^2]."""
     ground_force: Array
     """(m, 2, 3) force of the ground on each foot [N]."""
+    pressure: Array
+    """(m, 2) centre of pressure of each foot ahead of its middle, along the toes [m]."""
     heading: Angle
     """(m,) heading of the body."""
     foot_heading: Array
@@ -177,13 +179,17 @@ class Plan:
         feet, acceleration, contact = self._feet(step, rows, done, side)
         body, pressed = self._body(step, rows, done)
         share = ((step.since + step.elapsed) / self.pendulum.double_stance).clip(0.0, 1.0)[:, None]
+        toes = self._foot_heading(step, rows, done, side)
+        stood = xp.where(side == 0, toes[:, 0], toes[:, 1])
+        ahead = xp.cos(stood) * step.pressure[:, 0] + xp.sin(stood) * step.pressure[:, 1]
         return PlanSample(
             body=body,
             feet=feet,
             foot_acceleration=acceleration,
             ground_force=_by_side(side, share * pressed, (1 - share) * pressed),
+            pressure=_by_side(side, ahead, 0 * ahead),
             heading=Angle(self.yaw_rate[rows] * time, self.yaw_rate[rows] + zero),
-            foot_heading=self._foot_heading(step, rows, done, side),
+            foot_heading=toes,
             contact=contact,
             stance=side,
             since=step.since + step.elapsed,

@@ -59,7 +59,7 @@ class PlanMotors:
         force = _turned(later.ground_force, -yaw[1])
         weight = force.new_tensor([0.0, 0.0, self.pendulum.gravity])
         pushed = force.sum(1) / self.pendulum.mass - weight
-        torque = self.legs.torque(*places[1], force)
+        torque = self.legs.torque(*places[1], force, later.pressure)
         torque = torque + self.legs.inertial_torque(angle[1], velocity, acceleration, pushed)
         return dict(zip(MOTORS, (angle[1], velocity, torque), strict=True))
 

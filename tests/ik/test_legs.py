@@ -7,6 +7,7 @@ import torch
 from aslip.errors import ConfigurationError
 from aslip.estimation.legs import leg_chains
 from aslip.ik import BodyTarget, Kinematics, LegTable, leg_torque, pelvis_axes, solve, static_torque
+from aslip.ik.dynamics import motor_motion
 from aslip.ik.legs import _leg
 from aslip.ik.solve import newton
 from aslip.ik.target import FootMotion
@@ -71,6 +72,22 @@ def test_torques_balance_the_forces(kinematics, table, targets, poses):
     expected = static_torque(kinematics, kinematics.to_mujoco(found), targets[2])
     torque = table.torque(*targets).reshape(200, 2, 5)
     np.testing.assert_allclose(torque[good], expected.reshape(200, 2, 5)[good], atol=0.02)
+
+
+def test_torques_balance_forces_ahead_of_the_centres(kinematics, table, targets, poses):
+    found, _, good = poses
+    _, heading, force = targets
+    ahead = np.random.default_rng(3).uniform(-0.06, 0.06, heading.shape)
+    toes = np.stack([np.cos(heading), np.sin(heading), 0 * heading], -1)
+    # the moment of the force about the centre turns the sole
+    legs = kinematics.legs(kinematics.at_origin(found))
+    turned = legs.jacobian[..., 3:, :] @ motor_motion(kinematics, legs)
+    moment = np.cross(ahead[..., None] * toes, force)
+    expected = table.torque(*targets).reshape(200, 2, 5)
+    expected -= (turned.swapaxes(-1, -2) @ moment[..., None])[..., 0]
+    torque = table.torque(*targets, ahead).reshape(200, 2, 5)
+    np.testing.assert_allclose(torque[good], expected[good], atol=0.02)
+    assert abs(torque - table.torque(*targets).reshape(200, 2, 5)).max() > 10
 
 
 def test_inertial_torques_are_those_of_inverse_dynamics(kinematics, table):

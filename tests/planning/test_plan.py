@@ -73,6 +73,22 @@ def test_velocities_are_derivatives_and_feet_rest_in_contact():
     assert not np.any(sample.ground_force[~sample.contact])
 
 
+def test_forces_point_from_the_centre_of_pressure_to_the_body():
+    cases = [_case(seed) for seed in range(8)]
+    plans = [PLANNER.plan(case.state, case.command, case.stones) for case in cases]
+    for plan in plans:
+        single = max(plan.pendulum.double_stance - plan.state.since[0], 0)
+        sample = plan.sample(np.array([single + 1e-3]))
+        stance, rate = sample.stance[0], plan.pendulum.rate
+        toes = sample.foot_heading[0, stance]
+        ahead = sample.pressure[0, stance] * np.array([np.cos(toes), np.sin(toes)])
+        lever = sample.body.position[0, :2] - sample.feet.position[0, stance, :2] - ahead
+        force = sample.ground_force[0].sum(0)[:2] / plan.pendulum.mass
+        np.testing.assert_allclose(force, rate**2 * lever, atol=1e-9)
+        assert sample.pressure[0, 1 - stance] == 0
+    assert max(abs(plan.pressure).max() for plan in plans) > 0.02
+
+
 def test_feet_land_on_their_footholds_in_time():
     case = _case(1)
     plan = PLANNER.plan(case.state, case.command, case.stones)
