@@ -15,12 +15,15 @@ MOTORS: Final = ("motor_position", "motor_velocity", "motor_torque")
 """Entries of `PlanMotors`."""
 NEAR: Final = 0.003
 """Time between samples of a plan whose differences are accelerations [s]."""
+_YIELD: Final = 0.034
+"""Height by which a stance leg yields under the robot's weight, its springs and motors [m]."""
 
 
 class PlanMotors:
     """Motor angles, velocities and torques of plans.
 
-    The angles hold the pelvis level.
+    The angles hold the pelvis level. Legs in flight are shorter than planned by what the pelvis
+    sinks below the plan, as far as they do not bear its weight: else feet touch the ground early.
 
     Args:
         pendulum: model of the plans.
@@ -42,10 +45,12 @@ class PlanMotors:
             torch.stack(values)[..., None]
             for values in zip(*((s.heading.angle, s.heading.rate) for s in samples), strict=True)
         )
-        places = [_feet(sample) for sample in samples]
+        places, shares = [_feet(sample) for sample in samples], [_share(s) for s in around]
         position, heading = (torch.stack(values) for values in zip(*places, strict=True))
         x, y, _ = position.unbind(-1)
         moves = [sample.feet.velocity - sample.body.velocity[:, None] for sample in samples]
+        lifted = _YIELD * (shares[0] - shares[1]) / (2 * NEAR)
+        moves = [torch.cat([move[..., :2], move[..., 2:] + lifted], -1) for move in moves]
         turning = (after.foot_heading - before.foot_heading) / (2 * NEAR)
         around_z = torch.stack([rate * y, -rate * x, 0 * x, turning - rate], -1)
         moved = around_z + torch.nn.functional.pad(_turned(torch.stack(moves), -yaw), (0, 1))
@@ -68,7 +73,15 @@ def _feet(sample: Any) -> tuple[Tensor, Tensor]:
     """Places (n, 2, 3) [m] and headings (n, 2) [rad] of the feet, from the pelvis."""
     yaw = sample.heading.angle[:, None]
     position = sample.feet.position - sample.body.position[:, None]
+    lifted = _YIELD * (1 - _share(sample))
+    position = torch.cat([position[..., :2], position[..., 2:] + lifted], -1)
     return _turned(position, -yaw), sample.foot_heading - yaw
+
+
+def _share(sample: Any) -> Tensor:
+    """Share (n, 2, 1) of the load that each foot bears."""
+    load = sample.ground_force[..., 2:]
+    return load / load.sum(1, keepdim=True)
 
 
 def _turned(vector: Tensor, yaw: Tensor) -> Tensor:

@@ -20,7 +20,7 @@ from aslip.robot import SIDES
 from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps, SeededTransform
 from aslip.transforms.base import extend_spec
 from aslip.transforms.observation import join_entries
-from aslip.transforms.plan_motors import NEAR, PlanMotors, _feet, _turned
+from aslip.transforms.plan_motors import _YIELD, NEAR, PlanMotors, _feet, _turned
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -69,8 +69,13 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
 
 
 def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
+    """Those that bear no weight are as much higher as the pelvis sinks below the plan."""
     target: Any = walk["target"].flatten(0, 1)
     feet = torch.stack([target[f"{side}_foot_position"] for side in SIDES], -2)
+    state = WalkState.from_rows(walk["plan", "state"].flatten(0, 1))
+    borne = (state.since / default_planner().program.pendulum.double_stance).clamp(max=1)[:, None]
+    stance = torch.arange(2) == state.stance[:, None]
+    feet[..., 2] += _YIELD * torch.where(stance, 1 - borne, borne)
     toes = torch.cat([target[f"{side}_foot_heading"] for side in SIDES], -1)
     # the frame turns with the body
     angle, _ = LegTable().motors(feet, toes - target["body_heading"])
