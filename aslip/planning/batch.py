@@ -73,11 +73,12 @@ class BatchPlanner:
             if aim is not None:
                 extra[:, 0] += program.weights.change_of(stones, aim)
         height, foothold, soonest = problem.stance[:, 2], problem.stance[:, :2], least
+        reach = program.reach(problem)
         for k in range(program.steps):
             near = stones is None or k == 0
             # the motion that later stones need is not known yet: steps to them are the command's
             desired = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
-            box = self._box(problem, steps, variable, of_body=near)
+            box = self._box(problem, reach, steps, variable, of_body=near)
             if stones is None:
                 step = _clipped(desired if shift is None or k else desired + shift, *box)
             else:
@@ -126,14 +127,14 @@ class BatchPlanner:
         xp, steps, matrix = namespace(slopes), [*steps], 2 * self.program.matrix
         variable = -(slope + (cross * xp.stack(steps, 1)).sum((-2, -1))) / bend
         pull = slopes + variable[:, None, None] * cross
-        foothold = problem.stance[:, :2]
+        foothold, reach = problem.stance[:, :2], self.program.reach(problem)
         for k in range(len(steps)):
             # a foothold moves by what its step gets longer and the next one shorter
             move = np.eye(len(steps))[k] - np.eye(len(steps))[k + 1 : k + 2].sum(0)
             force = like(move @ matrix, slopes) @ xp.stack(steps, 1)
             force = force + (like(move, slopes)[:, None] * pull).sum(-2)
             desired = steps[k] - force / (move @ matrix @ move).item()
-            box = self._box(problem, steps[:k], variable)
+            box = self._box(problem, reach, steps[:k], variable)
             place = self._places(problem, standing.only(k), k, foothold, desired, box)[0][:, 0]
             if k + 1 < len(steps):
                 steps[k + 1] = steps[k + 1] + steps[k] - place
@@ -161,27 +162,40 @@ class BatchPlanner:
         return at, -(inverse @ (rest + at[:, None, None] * cross[:, k:]))
 
     def _box(
-        self, problem: Problem, steps: list[Array], variable: Array, *, of_body: bool = True
+        self,
+        problem: Problem,
+        reach: tuple[Array, Array, Array],
+        steps: list[Array],
+        variable: Array,
+        *,
+        of_body: bool = True,
     ) -> tuple[Array, Array, Array]:
         """Directions ahead and outward (n, 2, 2), least and greatest next step (n, 2) along them.
 
         The reach of the body counts if asked for: where its motion is not known yet, it does not.
+
+        Args:
+            problem: programs.
+            reach: see `Program.reach`.
+            steps: steps before, (n, 2) each.
+            variable: (n,) t.
+            of_body: whether the reach counts.
         """
         limits, k = self.program.limits, len(steps)
         xp, axes = namespace(variable), problem.axes[:, k]
-        constant, by_time, by_step = self.program.reach(problem)
+        constant, by_time, by_step = reach
         # the body from the next foothold, if the step were zero
         body = constant[:, k] + variable[:, None] * by_time[:, k]
         for j, step in enumerate(steps):
             body = body + by_step[k, j].item() * step
         body = xp.einsum("nij,nj->ni", axes, body)
-        reach, step = (
+        far, step = (
             [0 * body + like(np.array(one)[:, end], body) for end in (0, 1)]
             for one in ((limits.reach, limits.outward), (limits.length, limits.width))
         )
         if not of_body:
             return axes, *step
-        low, high = xp.maximum(body + reach[0], step[0]), xp.minimum(body + reach[1], step[1])
+        low, high = xp.maximum(body + far[0], step[0]), xp.minimum(body + far[1], step[1])
         # where no step suits both, the leg that is nearer to its limit
         return axes, xp.minimum(low, step[1]), xp.maximum(xp.minimum(low, step[1]), high)
 

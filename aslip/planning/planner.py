@@ -32,6 +32,12 @@ class Planner:
 
     def __init__(self, program: Program | None = None) -> None:
         self.program = program or Program()
+        limits, weights, steps = self.program.limits, self.program.weights, self.program.steps
+        box, reach = (limits.length, limits.width), (limits.reach, limits.outward)
+        self._box, self._reach = (np.tile(np.array(one).T, steps) for one in (box, reach))
+        self._by_steps = np.kron(self.program.error, np.eye(2))
+        own = [weights.time, *[weights.step] * (2 * steps), weights.pressure]
+        self._own = 2 * np.diag(own)
 
     def plan(
         self,
@@ -118,11 +124,9 @@ class Planner:
         along = -(turn @ columns).reshape(num, 2 * steps, 3)
         matrix[:, count + 2 * steps :, 0] = along[..., 0]
         matrix[:, count + 2 * steps :, -1] = along[..., 1]
-        box = np.array([limits.length, limits.width])
-        reach = np.array([limits.reach, limits.outward])
-        for bound, end in ((low, 0), (high, 1)):
-            bound[:, 1 + count : 1 + count + 2 * steps] = np.tile(box[:, end], steps)
-            bound[:, 1 + count + 2 * steps :] = np.tile(reach[:, end], steps) - along[..., 2]
+        for bound, box, reach in zip((low, high), self._box, self._reach, strict=True):
+            bound[:, 1 + count : 1 + count + 2 * steps] = box
+            bound[:, 1 + count + 2 * steps :] = reach - along[..., 2]
         return Programs(*self._objective(problem, by_pressure[0]), matrix, low, high)
 
     def _objective(
@@ -137,17 +141,14 @@ class Planner:
         program, weights, steps = self.program, self.program.weights, self.program.steps
         error, rate = (one.reshape(len(one), -1, 1) for one in program.errors(problem))
         weight = 2 * np.repeat(program.weight, 2)
-        by_steps = np.broadcast_to(
-            np.kron(program.error, np.eye(2)), (len(error), *[2 * steps] * 2)
-        )
+        by_steps = np.broadcast_to(self._by_steps, (len(error), *[2 * steps] * 2))
         by = np.concatenate([rate, by_steps, pressed.reshape(len(error), -1, 1)], -1)
         weighed = (weight[:, None] * by).swapaxes(1, 2)
-        own = [weights.time, *[weights.step] * (2 * steps), weights.pressure]
         vector = (weighed @ error)[..., 0]
         vector[:, 1:-1] -= 2 * weights.step * problem.step.reshape(len(error), -1)
         constant = (weight * error[..., 0] ** 2).sum(-1) / 2
         constant += weights.step * (problem.step**2).sum((1, 2))
-        return weighed @ by + 2 * np.diag(own), vector, constant
+        return weighed @ by + self._own, vector, constant
 
     def _speed(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         """Rows (n, r, 3) for t and the first step, and their upper bounds (n, r)."""
@@ -186,11 +187,11 @@ class Planner:
         tops = np.concatenate([stance[:, 2:], stones.heights], 1)
         level = np.abs(stones.heights[:, None] - tops[..., None]) <= limits.rise + _ROUNDING
         level &= near[:, None]
-        box = np.array([limits.length, limits.width])
+        least_step, most_step = self._box[:, :2]
         # entry [n, s, i, j]: from i to j at step s
         far = most[:, :, None, 1:] - least[:, :, :, None]
         close = least[:, :, None, 1:] - most[:, :, :, None]
-        possible = ((far >= box[:, 0]) & (close <= box[:, 1])).all(-1) & level[:, None]
+        possible = ((far >= least_step) & (close <= most_step)).all(-1) & level[:, None]
         # variances of the footholds, sums of the steps to them, where the cost is a density
         inverse = np.linalg.inv(programs.hessian)[:, 1:-1, 1:-1]
         sums = inverse.reshape(num, steps, 2, steps, 2).cumsum(1).cumsum(3)

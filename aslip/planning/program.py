@@ -22,6 +22,7 @@ closed form.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -73,7 +74,7 @@ class Problem:
     ahead: Array
     """(n, 2) step of the command, without the distance of the feet [m]."""
 
-    @property
+    @cached_property
     def axes(self) -> Array:
         """(n, N, 2, 2) rows of the directions ahead and outward at the touchdowns."""
         xp, side = namespace(self.heading), self.side
