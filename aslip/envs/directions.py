@@ -176,9 +176,14 @@ def planned_stack(
             [("plan", "state"), ("plan", "time"), "mode"],
         ),
         rewards.level: ([(source, "pelvis_orientation")], []),
+        rewards.velocity_diff: (
+            [(source, name) for name in ("pelvis_orientation", "pelvis_velocity")],
+            [("target", name) for name in ("body_velocity", "body_heading")],
+        ),
         rewards.speed_diff: ([(source, "pelvis_velocity")], [("plan", _FILTERED)]),
     }
     stack = insert_before(stack, "reward", **terms_of(reads))
+    del stack["com_vel"]
     seen = AssembleObservation(planned_table(DIRECTION_TABLE))
     return stack | {"observation": seen, "reward": WeightedReward(PLANNED_WEIGHTS)}
 

@@ -1,11 +1,11 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and nine of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and ten of our own.
 
 Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
 the largest force on a foot, and friction that the feet spend against each other; the place of
-one foot relative to the other, the time of its touchdown and a level pelvis; and the commanded
-speed. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in
-the paper; the public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in,
-(*b, 1) out.
+one foot relative to the other, the time of its touchdown and a level pelvis; the velocity of the
+reference, and the commanded one. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances
+are Euclidean norms, as in the paper; the public code sums absolute values per axis for velocity and
+feet. Shapes: (*b, k) in, (*b, 1) out.
 
 "World" is the frame in which the caller gives the robot's poses, z up and x straight ahead; the
 stacks pass the heading frame. The reference is in the same axes.
@@ -63,19 +63,19 @@ are new."""
 
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.06,
-        "foot_pos": 0.03,
-        "path_diff": 0.05,
-        "heading_diff": 0.08,
-        "level": 0.08,
-        "foot_orient": 0.05,
-        "action_diff": 0.05,
-        "power": 0.05,
-        "landing": 0.05,
-        "squeeze": 0.03,
-        "feet_apart": 0.28,
-        "touchdown": 0.1,
-        "speed_diff": 0.09,
+        "velocity_diff": 0.14,
+        "foot_pos": 0.02,
+        "path_diff": 0.04,
+        "heading_diff": 0.06,
+        "level": 0.07,
+        "foot_orient": 0.04,
+        "action_diff": 0.04,
+        "power": 0.04,
+        "landing": 0.04,
+        "squeeze": 0.02,
+        "feet_apart": 0.22,
+        "touchdown": 0.2,
+        "speed_diff": 0.07,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -355,6 +355,29 @@ def level(pelvis_orientation: Tensor, scale: float = 0.1) -> Tensor:
     """
     up = pelvis_orientation.new_tensor([0.0, 0.0, 1.0]).expand(*pelvis_orientation.shape[:-1], 3)
     return torch.exp(-_norm(rotate_inverse(pelvis_orientation, up)[..., :2]) / scale)
+
+
+def velocity_diff(
+    pelvis_orientation: Tensor,
+    pelvis_velocity: Tensor,
+    body_velocity: Tensor,
+    body_heading: Tensor,
+    scale: float = 0.1,
+) -> Tensor:
+    r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the reference's.
+
+    Stones determine the steps, so that a body that is slower than its plan falls back from the next
+    one; `com_vel` has a scale of 1 m/s. Ours.
+
+    Args:
+        pelvis_orientation: (*b, 4) wxyz, pelvis to world.
+        pelvis_velocity: (*b, 3) [m/s, world].
+        body_velocity: (*b, 3) of the reference [m/s, same axes].
+        body_heading: (*b, 1) of the reference [rad, same axes]. Its velocity is seen from its body.
+        scale: difference s at which the term is 1/e [m/s].
+    """
+    ahead = rotate_inverse(yaw_quaternion(pelvis_orientation), pelvis_velocity)
+    return torch.exp(-_norm((ahead - _from_body(body_velocity, body_heading))[..., :2]) / scale)
 
 
 def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:

@@ -195,6 +195,7 @@ def test_scales_of_terms_are_arguments() -> None:
         (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
         (rewards.feet_apart, 0.04, [one + 0.03, one, one, one]),
         (rewards.speed_diff, 0.3, [one, 1.2 * one]),
+        (rewards.velocity_diff, 0.1, [orientation, one, 1.05 * one, one[:, :1] * 0]),
         (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
     ]
     for term, scale, seen in cases:
@@ -280,6 +281,18 @@ def test_a_level_pelvis_is_one_with_its_axis_up() -> None:
     both = torch.stack([yaw, multiply(yaw, roll)])
     found = rewards.level(both)[:, 0]
     torch.testing.assert_close(found, torch.tensor([1.0, math.exp(-math.sin(0.1) / 0.1)]))
+
+
+def test_velocity_diff_is_compared_along_the_ground_from_either_heading() -> None:
+    """A robot that tilts and bounces loses nothing."""
+    turned = multiply(_about((0, 0, 1), 0.5), _about((0, 1, 0), 0.1))
+    heading, ahead = torch.tensor([0.2]), torch.tensor([0.6, 0.1, 0.0])
+    velocity = rotate_inverse(conjugate(_about((0, 0, 1), 0.5)), ahead + torch.tensor([0, 0, 0.4]))
+    body = rotate_inverse(conjugate(_about((0, 0, 1), 0.2)), ahead)
+    found = rewards.velocity_diff(turned, velocity, body, heading)
+    assert found.item() == pytest.approx(1.0, abs=1e-5)
+    slow = rewards.velocity_diff(turned, 0.9 * velocity, body, heading)
+    assert slow.item() == pytest.approx(math.exp(-0.1 * math.hypot(0.6, 0.1) / 0.1), abs=1e-5)
 
 
 def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
