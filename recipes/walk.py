@@ -129,7 +129,7 @@ from aslip.policy import policy_environment, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
-from aslip.sim.course import MOST_STONES, PATTERNS, Course, pattern, random_course
+from aslip.sim.course import MOST_STONES, Course, find_course
 from aslip.walking import Push, Walker, command_library, policy_steps
 
 # duration of the last speed of a schedule [s]
@@ -236,13 +236,6 @@ def make_walker(config: Config, schedule: Schedule, course: Course | None = None
         env.base_env.set_course(course)
     first = schedule.at(0.0), schedule.stand_at(0.0)
     return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
-
-
-def find_course(name: str) -> Course:
-    """Course of a pattern, a seed or a file."""
-    if name in PATTERNS:
-        return pattern(name)
-    return random_course(int(name)) if name.isdecimal() else Course.read(name)
 
 
 def training_length(policy: str) -> str:

@@ -53,7 +53,7 @@ class BatchPlanner:
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
             stones: stones in the frame of the state.
             shift: (n, 2) displacement of the next foothold from the optimal one [m].
-            aim: (n, 2) foothold that the foot in flight was going to, see `Planner.plan` [m].
+            aim: (n, 3) where and when the foot in flight was to land, see `Planner.plan` [m, s].
 
         Raises:
             ShapeError: the command is in single precision.
@@ -61,7 +61,7 @@ class BatchPlanner:
         program = self.program
         if "64" not in str(command.dtype):
             raise ShapeError(f"planning takes numbers in double precision, got {command.dtype}")
-        problem = program.problem(state, command)
+        problem = program.problem(state, command, aim)
         xp, cost = namespace(command), program.cost(problem)
         least, _, greatest = program.variable(problem, problem.times).T
         variable = self._rest(cost, [], None)[0].clip(least, greatest)

@@ -86,6 +86,9 @@ class Weights:
     without it, where stones are far apart, a robot would rather step in place than fast."""
     change: float = 10.0
     """Change of the stone that a foot in flight goes to, by distance [1/m^2]."""
+    change_time: float = 60.0
+    """Change of the time at which a foot in flight lands [1/s^2]; without it, noise moves the
+    touchdown by 0.1 s and more, as the other costs hardly depend on it."""
 
     def stay_of(self, problem: Problem, stones: Stones, foot: float) -> Array:
         """Cost (n, N, m) of stones that are behind the command at each step, see `stay`.
@@ -107,7 +110,8 @@ class Weights:
         return self.stay * (late & (wanted > 0)[..., None])
 
     def change_of(self, stones: Stones, aim: Array) -> Array:
-        """Cost (n, m) of stones for feet that go to (n, 2); none where that is NaN."""
+        """Cost (n, m) of stones for feet that go to (n, 2 or 3); none where that is NaN."""
         xp = namespace(aim)
-        away = stones.nearest(aim[:, None, None])[:, 0] - aim[:, None]
+        aim = aim[:, None, :2]
+        away = stones.nearest(aim[:, None])[:, 0] - aim
         return xp.nan_to_num(self.change * (away**2).sum(-1))

@@ -246,6 +246,7 @@ class Plan:
         )
         landed = step.elapsed >= step.landing
         down = landed | (step.elapsed < step.shift)
+        position = xp.where(landed[:, None], step.target, position)
         velocity, acceleration = (
             xp.where(landed[:, None], rest, a) for a in (velocity, acceleration)
         )

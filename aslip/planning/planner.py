@@ -57,13 +57,14 @@ class Planner:
             state: state of n robots.
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
             stones: stones in the frame of the state.
-            aim: (n, 2) foothold that the foot in flight was going to [m], NaN for none: other
-                stones cost more the further they are from it, so that noise does not change it.
+            aim: (n, 3) foothold ahead and aside that the foot in flight was going to [m] and the
+                time until its touchdown [s], NaN for none: other stones and times cost more the
+                further they are from it, so that noise does not change them.
 
         Raises:
             SolverError: there is no solution, as for a state or command that is not finite.
         """
-        problem = self.program.problem(state, command)
+        problem = self.program.problem(state, command, aim)
         found = [search.best() for search in self.searches(problem, stones, aim)]
         variables = np.array([one.variables for one in found])
         if not np.isfinite(variables).all():
@@ -148,7 +149,10 @@ class Planner:
         vector[:, 1:-1] -= 2 * weights.step * problem.step.reshape(len(error), -1)
         constant = (weight * error[..., 0] ** 2).sum(-1) / 2
         constant += weights.step * (problem.step**2).sum((1, 2))
-        return weighed @ by + self._own, vector, constant
+        hessian = weighed @ by + self._own
+        hessian[:, 0, 0] += 2 * problem.change
+        vector[:, 0] -= 2 * problem.change * problem.before
+        return hessian, vector, constant + problem.change * problem.before**2
 
     def _speed(self, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         """Rows (n, r, 3) for t and the first step, and their upper bounds (n, r)."""

@@ -30,7 +30,7 @@ from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.base.checks import TINY, check_count, check_number
 from aslip.planning.limits import Limits, Weights
 from aslip.planning.pendulum import Pendulum
-from aslip.planning.state import WalkState
+from aslip.planning.state import LATER, WalkState
 
 # least time until a touchdown, and least freedom in it [s]
 _SOONEST = 0.01
@@ -73,6 +73,10 @@ class Problem:
     """(n, 2) of the body [m/s]."""
     ahead: Array
     """(n, 2) step of the command, without the distance of the feet [m]."""
+    change: Array
+    """(n,) weight of other t than `before`, 0 for feet that are not in flight [1/s^2]."""
+    before: Array
+    """(n,) t at which a foot in flight was to land."""
 
     @cached_property
     def axes(self) -> Array:
@@ -149,12 +153,13 @@ class Program:
         mean[0, 0] = 1
         return mean * (1 - self.sigma * beta) / (self.sigma - 1)
 
-    def problem(self, state: WalkState, command: Array) -> Problem:
+    def problem(self, state: WalkState, command: Array, aim: Array | None = None) -> Problem:
         """Programs of n robots.
 
         Args:
             state: state of the robots.
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
+            aim: see `aslip.planning.Planner.plan`.
         """
         xp, p, limits = namespace(state.since), self.pendulum, self.limits
         stance = state.of_foot(state.foot_position, swing=False)
@@ -179,6 +184,12 @@ class Program:
         heading = command[:, 2:] * (nominal[:, None] + p.step_time * order)
         step, offset = self.periodic(command, heading, side)
         offset = offset - like(self._expected, offset) @ step
+        change = before = 0 * nominal
+        if aim is not None:
+            flies = xp.isfinite(aim[:, 2])
+            left = xp.where(flies, aim[:, 2], nominal)
+            change = xp.where(flies, change + self.weights.change_time, change)
+            before = xp.expm1(p.rate * (left - nominal)) / p.rate
         return Problem(
             times=xp.stack([least, nominal, greatest], -1),
             shift=shift,
@@ -195,6 +206,8 @@ class Program:
             swing=foot,
             velocity=velocity,
             ahead=command[:, :2] * p.step_time,
+            change=change,
+            before=before,
         )
 
     def periodic(self, command: Array, heading: Array, side: Array) -> tuple[Array, Array]:
@@ -224,13 +237,15 @@ class Program:
         matrix, weight = like(self.error, problem.growth), like(self.weight, problem.growth)
         error, rate = self.errors(problem)
         weighed = weight[:, None] * error
-        bend = 2 * self.weights.time + 2 * (weight[:, None] * rate**2).sum((-2, -1))
+        bend = 2 * (self.weights.time + problem.change)
+        bend = bend + 2 * (weight[:, None] * rate**2).sum((-2, -1))
         cross = 2 * matrix.T @ (weight[:, None] * rate)
-        slope = 2 * (weighed * rate).sum((-2, -1))
+        slope = 2 * ((weighed * rate).sum((-2, -1)) - problem.change * problem.before)
         slopes = 2 * (matrix.T @ weighed - self.weights.step * problem.step)
         constant = (weighed * error).sum((-2, -1)) + self.weights.step * (problem.step**2).sum(
             (-2, -1)
         )
+        constant = constant + problem.change * problem.before**2
         return bend, cross, slope, slopes, constant
 
     def errors(self, problem: Problem) -> tuple[Array, Array]:
@@ -308,7 +323,7 @@ class Program:
         """Least times (n, m) until the foot can come down to heights (n, m) [s]."""
         xp = namespace(height)
         least, _, greatest = (problem.times[:, i : i + 1] for i in range(3))
-        down = (problem.swing[:, 2:] - height) / self.limits.descent
+        down = (problem.swing[:, 2:] - height) / self.limits.descent - LATER
         return xp.minimum(xp.maximum(least, down), greatest - _SOONEST / 2)
 
     def reach(self, problem: Problem) -> tuple[Array, Array, Array]:

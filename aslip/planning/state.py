@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from math import prod
+from typing import Final
 
 from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.errors import ShapeError
@@ -143,6 +144,9 @@ _SETTLE = 0.05
 # speed at which a foot touches the ground: one that came to rest there would land long before its
 # time at the least error of its height [m/s]
 _SINKING = 0.8
+LATER: Final = 0.04
+"""Time after the touchdown at which the path of a foot would reach the ground [s]: feet of robots
+touch it that much too early."""
 # time of a swing before its top below which the foot goes straight down [s]
 _LATE = 0.03
 
@@ -159,7 +163,8 @@ def swing(
 
     Seen from above, a path of least jerk, which ends a little before the touchdown: a foot that
     touches the ground too early is on its foothold, too. Its height goes over a top in the middle
-    of the swing, as in `aslip.rom.swing`, and from there down.
+    of the swing, as in `aslip.rom.swing`, and from there down, to a little above the ground at the
+    touchdown.
 
     Args:
         foot: position, velocity and acceleration (n, 3) now.
@@ -178,6 +183,7 @@ def swing(
         settled,
         xp.minimum(time, settled),
     )
+    left = left + LATER
     half = (gone + left) / 2
     to_top = half - gone
     rising = (to_top > _LATE) & (time < to_top)

@@ -42,6 +42,9 @@ _LONGEST_EDGE = 1e3
 # lateral distance of feet, and the start's and goal's platforms [m]
 _FEET_APART = 0.24
 _PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
+# middles of stones ahead that a command aims at, its largest sideways share of the speed, and its
+# largest yaw rate [rad/s]
+_AHEAD, _SIDEWAYS, _TURN = 2, 0.3, 0.4
 # load with which each foot counts without load [N]
 _LEAST_LOAD = 1.0
 # stones that touch may overlap by rounding errors [m]
@@ -185,6 +188,28 @@ def stone_distances(stones: Array, points: Array) -> Array:
     along, across = abs(c * x + s * y) - length / 2, abs(c * y - s * x) - width / 2
     distance = xp.hypot(xp.clip(along, 0.0, None), xp.clip(across, 0.0, None))
     return xp.where(xp.isnan(distance), math.inf, distance)
+
+
+def along_course(course: Array, pelvis: Array, turn: Array, speed: Array) -> Array:
+    """Command (n, 3) along the middle of courses: forward, sideways [m/s], yaw rate [rad/s].
+
+    Args:
+        course: (n, s, 6) stones, NaN where is none.
+        pelvis: (n, 2) place of the pelvis [m].
+        turn: (n, 1) its yaw [rad].
+        speed: (n, 1) forward speed [m/s].
+    """
+    xp = namespace(course)
+    middle = (course[:, 1:, :2] + course[:, :-1, :2]) / 2
+    distance = xp.nan_to_num(((middle - pelvis[:, None]) ** 2).sum(-1), nan=xp.inf)
+    last = xp.isfinite(middle[..., 0]).sum(1) - 1
+    nearest = (distance.argmin(1) + _AHEAD).clip(None, last.clip(0))
+    ahead = middle[xp.arange(len(course), device=course.device), nearest] - pelvis
+    angle = xp.arctan2(ahead[:, 1:], ahead[:, :1]) - turn
+    angle = xp.arctan2(xp.sin(angle), xp.cos(angle))
+    sideways = xp.sin(angle).clip(-_SIDEWAYS, _SIDEWAYS)
+    command = [speed, speed * sideways, angle.clip(-_TURN, _TURN)]
+    return xp.nan_to_num(xp.concatenate(command, -1))
 
 
 def ground_height(stones: Array, feet: Array, load: Array) -> Array:
@@ -362,6 +387,18 @@ def pattern(name: str, *, count: int = 20, size: float = STONE_SIZE) -> Course:
     check_count("count", count)
     rows = {"step": [0.4]} | dict(_PATTERNS[name])
     return Course(_lay(**{k: np.resize(v, count) for k, v in rows.items()}, size=size))
+
+
+def find_course(name: str) -> Course:
+    """Course by the name of one of the `PATTERNS`, the seed of a random one, or a file.
+
+    Raises:
+        FileDamagedError, ConfigurationError: see `Course.read`.
+        OSError: there is no such file.
+    """
+    if name in PATTERNS:
+        return pattern(name)
+    return random_course(int(name)) if name.isdecimal() else Course.read(name)
 
 
 def stairs(rise: float, *, steps: int = 6, run: float = 0.3, width: float = 1.2) -> Course:

@@ -161,7 +161,8 @@ class PlannedReference(SeededTransform):
         turned = rotate_about_vertical(
             aim - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
         )
-        aim = torch.where(flies, turned[:, :2], torch.nan)
+        left = cast("Tensor", past["plan", "time"]) - CASSIE.policy_period
+        aim = torch.where(flies, torch.cat([turned[:, :2], left], -1), torch.nan)
         if self._stands:
             begins = cast("Tensor", past["mode"]) != WalkMode.WALK
             first = self._started(present).to_rows()
@@ -205,7 +206,7 @@ class PlannedReference(SeededTransform):
     ) -> TensorDictBase:
         """Plan from a state, and write reference, target, plan, odometry and phase."""
         shift = state.body_position[:, :2].clone()
-        aim = None if aim is None else aim - shift
+        aim = None if aim is None else torch.cat([aim[:, :2] - shift, aim[:, 2:]], -1)
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
         turn = later.heading.angle
@@ -235,15 +236,13 @@ class PlannedReference(SeededTransform):
         """`PlanSample`s of tensors now, a step later and around that, and the plan's entries."""
         command = cast("Tensor", found[self._command_key])
         footsteps = found.get(("footsteps", "shift"), None)
-        free = {} if footsteps is None else {"shift": footsteps}
+        kept: dict[str, Any] = {} if aim is None else {"aim": aim}
+        free = kept if footsteps is None else {**kept, "shift": footsteps}
         corners = found.get(("stones", "corners"), None)
         if corners is None:
             return self._sampled(self.planner, state, command, free)
-        given: dict[str, Any] = {
-            "stones": (corners - shift[:, None, None], found["stones", "height"])
-        }
-        if aim is not None:
-            given["aim"] = aim
+        stones = corners - shift[:, None, None], found["stones", "height"]
+        given = {**kept, "stones": stones}
         there = corners.isfinite().flatten(1).any(1)
         if isinstance(self._on_stones, Planner):
             rows = there.nonzero()[:, 0], (~there).nonzero()[:, 0]

@@ -20,10 +20,9 @@ from aslip.base.checks import check_count, check_number
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.robot import NoiseLevel
-from aslip.sim.course import STONE, Course, stone_corners, stone_distances
+from aslip.sim.course import STONE, Course, along_course, stone_corners, stone_distances
 from aslip.transforms.base import ChosenAtReset, SeededTransform, require_keys
 from aslip.transforms.command import VelocityCommand
-from aslip.transforms.path import wrap
 from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
 
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
@@ -36,9 +35,6 @@ OUTLINE_KEY: Final = ("stones", "outline")
 _REQUEST_KEY = ("course", "stones")
 SIGHT_NOISE: Final = NoiseLevel(white=0.005, bias=0.01)
 """Standard deviations of a stone's place on each axis [m], ours."""
-
-# stones ahead that a command aims at, its largest sideways share of the speed and yaw rate [rad/s]
-_AHEAD, _SIDEWAYS, _TURN = 2, 0.3, 0.4
 
 
 class RandomCourse(ChosenAtReset):
@@ -170,25 +166,6 @@ class CourseCommand(VelocityCommand):
         led = self.library.nearest(along_course(course, pelvis, turn, speed))
         has = torch.isfinite(course[:, :, 0]).sum(1, keepdim=True) > 1
         return torch.where(has, led, command)
-
-
-def along_course(course: Tensor, pelvis: Tensor, turn: Tensor, speed: Tensor) -> Tensor:
-    """Command (n, 3) along the middle of courses.
-
-    Args:
-        course: (n, s, 6) stones by the columns of `STONE`, NaN where is none.
-        pelvis: (n, 2) place of the pelvis [m].
-        turn: (n, 1) its yaw [rad].
-        speed: (n, 1) forward speed [m/s].
-    """
-    middle = (course[:, 1:, :2] + course[:, :-1, :2]) / 2
-    distance = (middle - pelvis[:, None]).norm(dim=-1).nan_to_num(nan=torch.inf)
-    last = distance.isfinite().sum(1) - 1
-    aim = torch.minimum(distance.argmin(1) + _AHEAD, last.clamp(min=0))
-    ahead = middle[torch.arange(len(aim), device=aim.device), aim] - pelvis
-    angle = wrap(torch.atan2(ahead[:, 1:], ahead[:, :1]) - turn)
-    sideways = angle.sin().clamp(-_SIDEWAYS, _SIDEWAYS)
-    return torch.cat([speed, speed * sideways, angle.clamp(-_TURN, _TURN)], -1).nan_to_num()
 
 
 class SeenStones(SeededTransform):

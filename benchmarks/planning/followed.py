@@ -54,11 +54,10 @@ from aslip.envs.straight import shipped_library
 from aslip.planning import BatchPlanner, Planner, Stones
 from aslip.planning.stones import turned
 from aslip.robot import CASSIE
-from aslip.sim.course import random_stones, stone_corners, stone_distances
+from aslip.sim.course import along_course, random_stones, stone_corners, stone_distances
 from aslip.transforms.nested import mapped, to_numpy
 from aslip.transforms.plan_state import start_state
 from aslip.transforms.planned import default_planner
-from aslip.transforms.stones import along_course
 
 _SPEEDS = (0.3, 0.8)
 # stones that a plan knows, and how far ahead of the body they are chosen [m]
@@ -77,9 +76,9 @@ def followed(
     zero = torch.zeros(num, 1)
     start = start_state(shipped_library("directions"), zero, command, 0 * command, zero)
     state = mapped(to_numpy, start)
-    command = command.double().numpy()
+    command, pace = command.double().numpy(), speed.double().numpy()
     place, yaw = np.zeros((num, 2)), np.zeros(num)
-    aim, rows = np.full((num, 2), np.nan), np.arange(num)
+    aim, rows = np.full((num, 3), np.nan), np.arange(num)
     going, done = np.ones(num, dtype=bool), np.zeros(num, dtype=bool)
     corners = stone_corners(stones)
     for _ in range(round(config.seconds / CASSIE.policy_period)):
@@ -88,9 +87,7 @@ def followed(
             turned(corners[rows[:, None], known] - place[:, None, None], -yaw[:, None, None]),
             stones[rows[:, None], known, 2],
         )
-        wanted = along_course(
-            *map(torch.as_tensor, (stones, place, yaw[:, None])), speed.double()
-        ).numpy()
+        wanted = along_course(stones, place, yaw[:, None], pace)
         command = command + (wanted - command).clip(-_RATE, _RATE)
         plan = planner.plan(state, command, seen, aim=aim)
         later = plan.sample(np.full(num, CASSIE.policy_period)).state()
@@ -107,6 +104,7 @@ def followed(
         moved, turn = later.body_position[:, :2], command[:, 2] * CASSIE.policy_period
         flies = (later.since > planner.program.pendulum.double_stance) & ~lands
         aim = turned(plan.foothold[:, 0, :2] - moved, -turn)
+        aim = np.concatenate([aim, plan.time[:, :1] - CASSIE.policy_period], 1)
         aim = np.where(flies[:, None], aim, np.nan)
         state = later.seen_from(moved, turn)
         place, yaw = place + turned(moved, yaw), yaw + turn

@@ -73,10 +73,17 @@ from aslip.envs import StackEnv
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.rotation import yaw
 from aslip.show.palette import ROBOT
-from aslip.sim.course import ground_height, pattern, random_stones, stairs, stone_distances
+from aslip.sim.course import (
+    along_course,
+    ground_height,
+    pattern,
+    random_stones,
+    stairs,
+    stone_distances,
+)
 from aslip.transforms import RandomCourse, SeenStones
 from aslip.transforms.plan_state import footholds_in_world
-from aslip.transforms.stones import COURSE_KEY, along_course
+from aslip.transforms.stones import COURSE_KEY
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
 from benchmarks.common import Policies, Report, Subject, benchmark, table
