@@ -42,7 +42,8 @@ _MAY_IMPORT: dict[str, set[str]] = {
     | {"training", "walking"},
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs"}
     | {"training", "walking", "show"},
-    "network": {"robot", "library", "estimation", "sim", "policy", "control", "show", "log"},
+    "network": {"robot", "library", "estimation", "sim", "planning", "policy", "control", "show"}
+    | {"log"},
 }
 # libraries with a long import time
 _HEAVY = {

@@ -53,6 +53,8 @@ class Given(NamedTuple):
     """(n, 1) stand command; None for the last one, and for robots that cannot stand."""
     heading: np.ndarray | None
     """(n, 1) new heading [rad]; None for the present one."""
+    stones: np.ndarray | None
+    """(n, m, e, 3) corners of stones from the pelvis [m]; None for those of last time."""
 
 
 class ControllerBase(ABC, Generic[AnyState]):
@@ -66,6 +68,8 @@ class ControllerBase(ABC, Generic[AnyState]):
     """Number c of components of a command."""
     stands: bool
     """True if the robots take stand commands."""
+    plans: bool = False
+    """True if a planner decides where and when the feet land; it needs packets, not estimates."""
 
     @property
     @abstractmethod
@@ -88,6 +92,7 @@ class ControllerBase(ABC, Generic[AnyState]):
         stand: ArrayLike = 0.0,
         phase: ArrayLike = 0.0,
         heading: ArrayLike | None = None,
+        stones: ArrayLike | None = None,
     ) -> AnyState:
         """Start with robots whose lower foot rests on the ground; compute the first targets.
 
@@ -98,11 +103,14 @@ class ControllerBase(ABC, Generic[AnyState]):
             phase: stride fraction at the start, one or (n, 1).
             heading: yaw that counts as straight ahead, in the frame of the IMU's attitude or of the
                 estimates [rad], one or (n, 1); by default the yaw in packets or estimates.
+            stones: (n, m, e, 3) corners of the stones on which feet may land, from the pelvis and
+                along its yaw, level, and NaN where is none [m]; those of last time by default. For
+                controllers with a planner; without stones feet land on the floor.
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
             ConfigurationError: an argument or an estimate is not finite, the estimate is one that
-                no robot can have, or these robots cannot stand.
+                no robot can have, or these robots cannot stand, or step on stones.
         """
         rows, own = self._rows(packets, self.num_robots)
         num = len(rows)
@@ -112,6 +120,7 @@ class ControllerBase(ABC, Generic[AnyState]):
             self._command(command, num),
             self._stand(stand, num),
             None if heading is None else columns("heading", heading, num).astype(np.float64),
+            self._stones(stones, num),
         )
         return self._start(given, columns("phase", phase, num).astype(np.float32))
 
@@ -123,6 +132,7 @@ class ControllerBase(ABC, Generic[AnyState]):
         *,
         stand: ArrayLike | None = None,
         heading: ArrayLike | None = None,
+        stones: ArrayLike | None = None,
     ) -> tuple[AnyState, Any]:
         """Advance by a policy step.
 
@@ -135,14 +145,15 @@ class ControllerBase(ABC, Generic[AnyState]):
                 default the command does not change.
             stand: new stand command, one or (n, 1), which acts like a new command.
             heading: new yaw that counts as straight ahead [rad], one or (n, 1).
+            stones: stones, see `start`.
 
         Returns:
             New state, and its motor targets (n, m) [rad].
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
-            ConfigurationError: an argument is not finite, these robots cannot stand, or packets
-                come after a start with estimates, or the reverse.
+            ConfigurationError: an argument is not finite, these robots cannot stand, or step on
+                stones, or packets come after a start with estimates, or the reverse.
         """
         own, num = state.own_estimates, len(state.motor_target)
         rows, got = (self._lost(own, num), own) if packets is None else self._rows(packets, num)
@@ -155,9 +166,26 @@ class ControllerBase(ABC, Generic[AnyState]):
             None if command is None else self._command(command, num),
             None if stand is None else self._stand(stand, num),
             None if heading is None else columns("heading", heading, num).astype(np.float32),
+            self._stones(stones, num),
         )
         state = self._step(state, given)
         return state, state.motor_target
+
+    def _stones(self, stones: ArrayLike | None, num: int) -> np.ndarray | None:
+        """Stones (num, m, e, 3) in single precision.
+
+        Raises:
+            ConfigurationError: there is no planner to step on them.
+            ShapeError: they have another shape.
+        """
+        if stones is None:
+            return None
+        if not self.plans:
+            raise ConfigurationError("stones need a policy that steps where a planner says")
+        value = np.asarray(stones, dtype=np.float32)
+        if value.ndim != 4 or len(value) != num or value.shape[2] < 3 or value.shape[3] != 3:
+            raise ShapeError(f"stones must be ({num}, m, 3 or more, 3), got {value.shape}")
+        return value
 
     def _rows(self, packets: Packets, num: int | None) -> tuple[np.ndarray, bool]:
         """Packets (n, w, p) and False, or joined estimates (n, e) and True, of `num` robots."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
@@ -30,10 +30,14 @@ from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries, planned_table
+from aslip.transforms.plan_state import heading_of
 from aslip.transforms.planned import PlannedReference, planned_estimator
 from aslip.transforms.reference import feedforward_target
+from aslip.transforms.rotation import rotate_about_vertical, yaw
 
 # groups of entries that each step overwrites
+# corners (n, m, e, 3) of stones, level in the frame of the estimates [m]
+_STONES: Final = ("stones", "place")
 _FRESH = ("estimate", "odometry", "estimator", "reference", "target", "plan", "clock")
 PATH_ERROR = ("odometry", "path_error")
 """Key of the distance from the commanded path, for which robots' own estimates need positions."""
@@ -110,8 +114,7 @@ class Controller(ControllerBase[ControllerState]):
         stands: True for robots that take stand commands; by default as the policy's file says,
             False for a module.
         planner: planner of the footsteps that the policy follows, see `PlannedReference`; policies
-            of the stack `planned` have one by default. Stones are entries of
-            `ControllerState.tensordict`.
+            of the stack `planned` have one by default.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -169,7 +172,6 @@ class Controller(ControllerBase[ControllerState]):
         self._along_path = self.steering.along_path
         self._planned = PlannedReference(library, planner, stands=self.stands) if plans else None
         self.plans = plans
-        """True if a planner decides where and when the feet land."""
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
@@ -190,7 +192,8 @@ class Controller(ControllerBase[ControllerState]):
             origin = torch.zeros(num, 3) if self._along_path else None
             entries = estimate_entries(*self.estimator.start(given.rows, given.heading), origin)
         first = torch.ones(num, 1, dtype=torch.bool)
-        return self.act(TensorDict({**commands, "is_init": first, **entries}, batch_size=[num]))
+        present = TensorDict({**commands, "is_init": first, **entries}, batch_size=[num])
+        return self.act(_with_stones(present, given.stones))
 
     @on_cpu_in_single
     def _step(self, state: ControllerState, given: Given) -> ControllerState:
@@ -208,7 +211,7 @@ class Controller(ControllerBase[ControllerState]):
                 **commands,
             }
         )
-        return self.act(present, past)
+        return self.act(_with_stones(present, given.stones), past)
 
     def _check_packets(self) -> None:
         """Check that no planner needs packets.
@@ -281,6 +284,23 @@ class Controller(ControllerBase[ControllerState]):
             present = self.policy(present)
         baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
+
+
+def _with_stones(present: TensorDict, seen: np.ndarray | None) -> TensorDict:
+    """Write new stones (n, m, e, 3), or those before, in the present frame of the odometry."""
+    if seen is None and _STONES not in present.keys(True):
+        return present
+    odometry, heading = cast("TensorDictBase", present["odometry"]), heading_of(present)
+    pelvis, origin = (cast("Tensor", odometry[n]) for n in ("pelvis_position", "origin"))
+    turn = heading[:, None, None]
+    if seen is not None:
+        ahead = yaw(cast("Tensor", odometry["pelvis_orientation"]))[:, None, None]
+        placed = rotate_about_vertical(torch.from_numpy(seen), ahead) + pelvis[:, None, None]
+        present[_STONES] = rotate_about_vertical(placed, turn) + origin[:, None, None]
+    placed = rotate_about_vertical(present[_STONES] - origin[:, None, None], -turn)
+    present["stones", "corners"] = placed[..., :2]
+    present["stones", "height"] = placed[..., 2].mean(-1)
+    return present
 
 
 def _tensor(values: np.ndarray | None) -> Tensor | None:

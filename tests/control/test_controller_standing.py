@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,17 +16,19 @@ from aslip.control.estimates import standing_estimate
 from aslip.control.export import export_policy
 from aslip.control.steering import Steering
 from aslip.envs import StackEnv
-from aslip.envs.directions import planned_stack
+from aslip.envs.directions import course_stack, planned_stack
 from aslip.envs.edit import Stack
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary, WalkMode
 from aslip.network.runner.supervisor import Limits
 from aslip.planning import BatchPlanner, Planner
 from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, read_card
-from aslip.robot import CASSIE
-from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
+from aslip.robot import CASSIE, NoiseLevel
+from aslip.sim.course import stairs, stone_corners
+from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, SeenStones, StandCommand
 from aslip.transforms.planned import default_planner
-from tests.control.helpers import compare_rollouts, small_actions
+from aslip.transforms.rotation import rotate_about_vertical, yaw
+from tests.control.helpers import compare_rollouts, small_actions, standing_packet
 from tests.library.bent import symmetric_library
 from tests.library.standing import policy_files, slower_library, standing_library
 
@@ -105,6 +108,49 @@ def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     controller = _controller(planner=planner)
     policy = small_actions(0.02)
     list(compare_rollouts(env, policy, controller, keys, change, steps=60, first=first))
+
+
+@torch.no_grad()
+def test_stones_from_the_pelvis_are_where_a_stack_sees_them() -> None:
+    """Also when they were sent once, and the robot has moved and turned since."""
+    sight = SeenStones(noise=NoiseLevel(white=0.0, bias=0.0))
+    stack = course_stack(planned_stack(standing_library()), [stairs(0.05), stairs(0.05)])
+    env = _make(1, {**stack, "seen": sight})
+    controller, policy = _controller(planner=default_planner()), small_actions(0.0)
+    td = env.reset(TensorDict(heading=torch.tensor([[0.4]]), batch_size=1))
+    state: Any = None
+    for step in range(12):
+        given = {"stand": td["stand"], "heading": td["heading"]}
+        if step == 0:
+            stones = _from_pelvis(td)
+            state = controller.start(
+                td["sensors"], td["command"], phase=td["phase"], stones=stones, **given
+            )
+        else:
+            state, _ = controller.step(state, td["sensors"], td["command"], **given)
+        ours = state.tensordict
+        for name in ("corners", "height"):
+            error = (ours["stones", name] - td["stones", name][:, :7]).abs().max()
+            # later by what the estimated position has drifted
+            assert error < (1e-5 if step == 0 else 0.02), (step, name)
+        td = env.step(policy(td))["next"]
+
+
+def _from_pelvis(td: TensorDictBase) -> np.ndarray:
+    """Stones (1, s, 4, 3) of a course, from the true pelvis and along its yaw."""
+    stones, truth = td["stones", "course"], cast("TensorDictBase", td["truth"])
+    corners = stone_corners(stones)
+    top = stones[..., None, 2:3].expand_as(corners[..., :1])
+    place = torch.cat([corners, top], -1) - truth["pelvis_position"][:, None, None]
+    return rotate_about_vertical(place, -yaw(truth["pelvis_orientation"])[:, None, None]).numpy()
+
+
+def test_stones_need_a_planner_and_four_axes() -> None:
+    packet = standing_packet()
+    with pytest.raises(ConfigurationError, match="stones need a policy"):
+        _controller().start(packet, stones=np.zeros((1, 1, 4, 3)))
+    with pytest.raises(ShapeError, match=r"\(1, m, 3 or more, 3\), got \(4, 3\)"):
+        _controller(planner=default_planner()).start(packet, stones=np.zeros((4, 3)))
 
 
 def test_a_planner_is_not_exported(tmp_path: Path) -> None:

@@ -105,6 +105,11 @@ def main(config: Config) -> None:
             raise ConfigurationError(f"the policy {config.policy!r} cannot walk sideways")
         if isinstance(source, Scheduled) and source.stands and not controller.stands:
             raise ConfigurationError(f"the policy {config.policy!r} cannot stand")
+        if controller.plans and not config.raw:
+            raise ConfigurationError(
+                f"the policy {config.policy!r} follows a planner, which needs the sensors' packets"
+                " of --raw"
+            )
         supervisor = Supervisor(controller, limits)
         say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)

@@ -12,9 +12,11 @@ import os
 import select
 import socket
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from typing import Any, Final, Self
+
+import numpy as np
 
 from aslip.base.command_line import Reports, say
 from aslip.errors import ConfigurationError, NetworkError
@@ -22,11 +24,14 @@ from aslip.library import Schedule, numbers
 from aslip.network.runner.supervisor import Request
 from aslip.network.wire import LOOPBACK
 from aslip.network.wire.endpoint import check_port
+from aslip.planning import Stones
 
 # silence of the other program after which the robot steps in place [s]
 _STOP_AFTER = 1.0
 # largest speed [m/s] and yaw rate [rad/s] in a datagram, far beyond every library
 _LARGEST = 100.0
+# bytes of a datagram, and stones in it
+_LONGEST, _MOST_STONES = 65_535, 64
 # characters of a datagram that are printed
 _SHOWN = 80
 AXES: Final = ("forward", "sideways", "yaw_rate")
@@ -169,9 +174,12 @@ class Datagrams(Source):
     """Requests as JSON in UDP datagrams on loopback; the newest one applies.
 
     A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
-    `stand`, `stop` (booleans) and `damp` (text, the reason). Missing numbers are zero, and `walk`
-    is true by default. A stop or damping counts even if a newer datagram follows at once. After one
-    second without a datagram the robot steps in place.
+    `stand`, `stop` (booleans), `damp` (text, the reason) and `stones`. Missing numbers are zero,
+    and `walk` is true by default. A stop or damping counts even if a newer datagram follows at
+    once. After one second without a datagram the robot steps in place.
+
+    Stones are lists of corners [x, y, z] from the pelvis and along its yaw, level [m]; an empty
+    list is flat floor. They stay where they are until a datagram has others.
 
     Args:
         port: port on loopback; 0 lets the system choose one.
@@ -207,7 +215,7 @@ class Datagrams(Source):
         heard: list[Request] = []
         for _ in range(64):
             try:
-                text = self._socket.recv(4096)
+                text = self._socket.recv(_LONGEST)
             except BlockingIOError:
                 break
             try:
@@ -218,7 +226,10 @@ class Datagrams(Source):
         if heard:
             damp = next((f"operator: {one.damp}" for one in heard if one.damp), "")
             stop = any(one.stop for one in heard)
-            self._request, self._heard = heard[-1]._replace(stop=stop, damp=damp), time
+            stones = next((one.stones for one in heard[::-1] if one.stones is not None), None)
+            newest = heard[-1]._replace(stop=stop, damp=damp, stones=stones)
+            self._request, self._heard = newest._replace(stones=None), time
+            return newest
         if time - self._heard > _STOP_AFTER:
             return self._request._replace(forward=0.0, sideways=0.0, yaw_rate=0.0)
         return self._request
@@ -245,7 +256,7 @@ def parse_request(text: bytes) -> Request:
                 f"no entry {name[:_SHOWN]!r}; there are {list(Request._fields)}"
             )
         kind: tuple[type, ...] = (int, float) if name in AXES else (bool,)
-        kind = (str,) if name == "damp" else kind
+        kind = {"damp": (str,), "stones": (list,)}.get(name, kind)
         if not isinstance(value, kind) or (name in AXES and isinstance(value, bool)):
             raise ConfigurationError(
                 f"{name} must be {kind[-1].__name__}, got {repr(value)[:_SHOWN]}"
@@ -258,4 +269,32 @@ def parse_request(text: bytes) -> Request:
         # printed and logged
         shown = entries["damp"][:_SHOWN]
         entries["damp"] = "".join(c if c.isprintable() else "?" for c in shown)
+    if "stones" in entries:
+        entries["stones"] = parse_stones(entries["stones"])
     return Request(**entries)
+
+
+def parse_stones(given: Sequence[Any]) -> np.ndarray:
+    """Corners (m, e, 3) of stones, from lists of corners [x, y, z]; NaN for flat floor.
+
+    Raises:
+        ConfigurationError: there are too many, or one is not a convex polygon of finite numbers.
+    """
+    if not given:
+        return np.full((1, 3, 3), np.nan)
+    if len(given) > _MOST_STONES:
+        raise ConfigurationError(f"stones must be at most {_MOST_STONES}, got {len(given)}")
+    try:
+        corners = [np.array(stone, dtype=float) for stone in given]
+        wrong = any(stone.ndim != 2 or stone.shape[1] != 3 for stone in corners)
+    except (ValueError, TypeError):
+        corners, wrong = [], True
+    if wrong:
+        shown = repr(given)[:_SHOWN]
+        raise ConfigurationError(f"stones must be lists of corners [x, y, z], got {shown}")
+    if not all((abs(stone) <= _LARGEST).all() for stone in corners):
+        raise ConfigurationError(f"corners of stones must be within {_LARGEST:g} m")
+    heights = [stone[:, 2].mean() for stone in corners]
+    level = Stones.of([stone[:, :2] for stone in corners], heights).corners[0]
+    height = np.broadcast_to(np.array(heights)[:, None, None], (*level.shape[:2], 1))
+    return np.concatenate([level, height], -1)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aslip.control.base import ControllerBase
+from aslip.control.base import ControllerBase, Packets
 from aslip.control.estimates import standing_estimate
 from aslip.errors import AslipError, ConfigurationError
 from aslip.robot import CASSIE
@@ -54,15 +54,17 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
 
 
 def warm_up(controller: ControllerBase[Any]) -> None:
-    """Take some steps with the estimate of a standing robot, and check the motor targets.
+    """Take some steps as of a standing robot, and check the motor targets.
 
     Raises:
         ConfigurationError: the targets are not ten finite angles.
     """
-    estimate = standing_estimate()
-    state = controller.start(estimate, 0.0, heading=0.0)
+    # the estimator takes a robot without readings for one that stands
+    lost = np.full(CASSIE.packet_size, np.nan)
+    given: Packets = lost if controller.plans else standing_estimate()
+    state = controller.start(given, 0.0, heading=0.0)
     for _ in range(_WARM_UP):
-        state, _ = controller.step(state, estimate, None)
+        state, _ = controller.step(state, given, None)
     target = np.asarray(state.motor_target)
     if target.size != len(CASSIE.motor_names) or not np.isfinite(target).all():
         raise ConfigurationError(f"its motor targets are not ten finite angles: {target.tolist()}")

@@ -92,7 +92,9 @@ class SensorReadings:
     def __init__(self) -> None:
         # imported late: compiled by Numba, and not needed in PD mode
         from aslip.estimation import StateEstimator
+        from aslip.estimation.packets import join
 
+        self._joined = join
         self._estimator = StateEstimator()
         self._tracking: Tracking | None = None
         self._estimate: Estimate | None = None
@@ -101,6 +103,7 @@ class SensorReadings:
         self._record: np.ndarray | None = None
         self._arrived: float | None = None
         self._lost: list[str] = []
+        self._packets: list[np.ndarray] = []
         # compiled functions load at their first call, which takes seconds
         tracking, _ = self._estimator.start(np.full(CASSIE.packet_size, np.nan))
         self._estimator.update(tracking, None)
@@ -125,10 +128,13 @@ class SensorReadings:
         if self._arrived is None or self._estimate is None or self._record is None:
             return None
         time, self._arrived = self._arrived, None
+        packets = np.array(self._packets).reshape(-1, CASSIE.packet_size)
+        self._packets.clear()
         names = (*ESTIMATE_ENTRIES, POSITION)
         estimate = {name: getattr(self._estimate, name)[0] for name in names}
         estimate |= {name: estimate[name] * np.nan for name in self._lost}
-        return Reading(time, estimate, self._record["pelvis"]["radio"]["channel"].copy())
+        channels = self._record["pelvis"]["radio"]["channel"].copy()
+        return Reading(time, estimate, channels, packets)
 
     def answer(self, command: MotorCommand) -> np.ndarray:
         """Torques of the PD law at the newest packet; zero before the first one."""
@@ -149,6 +155,7 @@ class SensorReadings:
         lost = [name for name, values in sensors.items() if not is_possible(name, values)]
         self._lost = [_ESTIMATED.get(name, name) for name in lost]
         self._tracking = None if lost else tracking
+        self._packets = [self._joined(sensors)]
 
     def _update(self, sensors: dict[str, np.ndarray] | None) -> None:
         """Update the estimate with a packet, or with a lost one."""
@@ -158,6 +165,8 @@ class SensorReadings:
             # NaN marks a bad IMU
             sensors["accelerometer"] = mean + 0 * sensors["accelerometer"]
             self._force.clear()
+        lost = np.full(CASSIE.packet_size, np.nan)
+        self._packets.append(lost if sensors is None else self._joined(sensors))
         self._estimate = self._estimator.update(self._tracking, sensors)
 
 

@@ -4,6 +4,7 @@
 |---|---|
 | `/received` | packets as they arrived, and the step of their sequence number |
 | `/tick` | a policy step: request of the operator, stage, command of the motors, lateness |
+| `/stones` | new stones of a policy step, as JSON of (m, e, 3) corners |
 | `/estimate` | estimate on which the policy step acts |
 | `/log` | beginnings of stages with their reasons |
 
@@ -13,6 +14,7 @@ later.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -83,6 +85,7 @@ class RunLog:
         self._notes = self._writer.open_channel("/log", messages.LOG)
         names = [*_REQUEST, "stage", *_command_names(), *_TIMING]
         self._tick = FlatTopic(self._writer, "/tick", names)
+        self._stones = self._writer.open_channel("/stones", messages.STRING)
         self._estimate: FlatTopic | None = None
         self._flushed = 0
 
@@ -113,6 +116,9 @@ class RunLog:
         asked = [*map(float, request[:5]), float(bool(request.damp)), float(request.stand)]
         values = np.concatenate([asked, [_STAGES.index(stage)], *command, timing])
         self._tick.write(time_ns, values)
+        if request.stones is not None:
+            message = messages.STRING.encode({"data": json.dumps(request.stones.tolist())})
+            self._writer.write(self._stones, time_ns, message)
         if reading is not None:
             self._write_estimate(time_ns, reading)
         if time_ns - self._flushed >= _SECOND:
@@ -205,6 +211,8 @@ def _compare(series: Mapping[str, Any], supervisor: Supervisor, raw: bool) -> Re
     readings = SensorReadings() if raw else StateReadings()
     ticks, received = series["/tick"], series.get("/received")
     names, waiting = _command_names(), 0
+    stones = series.get("/stones")
+    seen = {} if stones is None else dict(zip(stones.time.tolist(), stones["data"], strict=True))
     arrivals = [] if received is None else received.time
     walked, different, first = 0, 0, float("nan")
     for k, now in enumerate(ticks.time.tolist()):
@@ -219,8 +227,9 @@ def _compare(series: Mapping[str, Any], supervisor: Supervisor, raw: bool) -> Re
         damp = "operator" if numbers[5] else ""
         forward, sideways, yaw_rate = numbers[:3]
         walk, stop = map(bool, numbers[3:5])
-        stand = bool(numbers[6])
-        request = Request(forward, sideways, yaw_rate, walk, stop, damp, stand)
+        stand, text = bool(numbers[6]), seen.get(now)
+        corners = None if text is None else np.array(json.loads(str(text)))
+        request = Request(forward, sideways, yaw_rate, walk, stop, damp, stand, corners)
         command = np.concatenate(supervisor.tick(now, readings.newest(), request))
         logged = np.array([ticks[name][k] for name in names])
         stage = _STAGES[int(ticks["stage"][k])]

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from aslip.control.base import ControllerBase
+from aslip.control.base import ControllerBase, Packets
 from aslip.control.estimates import lost_entries
 from aslip.errors import ConfigurationError
 from aslip.network.wire import STOP_CHANNEL, MotorCommand
@@ -61,6 +61,9 @@ class Reading(NamedTuple):
     """Entries (k,) of `("estimate", ...)`, in a frame with z up against gravity."""
     channels: np.ndarray
     """(16,) channels of the operator's radio, -1 to 1."""
+    packets: np.ndarray | None = None
+    """(w, p) packets of the sensors since the last reading, oldest first and NaN where one is lost;
+    None from robots that send estimates."""
 
 
 class Request(NamedTuple):
@@ -80,6 +83,8 @@ class Request(NamedTuple):
     """Reason to damp at once; empty for none."""
     stand: bool = False
     """Stand on both feet; policies that cannot step in place."""
+    stones: np.ndarray | None = None
+    """(m, e, 3) corners of new stones for policies with a planner, see `Controller.start` [m]."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +187,7 @@ class Supervisor:
             return request.damp
         if self.reading is None:
             return ""
-        time, estimate, channels = self.reading
+        time, estimate, channels, _ = self.reading
         if channels[STOP_CHANNEL] < 0:
             return f"emergency stop: radio channel {STOP_CHANNEL} is {channels[STOP_CHANNEL]:g}"
         if channels[SWITCH_CHANNEL] < -_THROWN:
@@ -243,27 +248,36 @@ class Supervisor:
         """Motor targets (10,) of the policy's next step."""
         in_place = self.stage is Stage.STOP or request.stand
         controller, forward_only = self._controller, self._controller.command_size == 1
-        stand = {"stand": in_place or self._state is None} if controller.stands else {}
+        more: dict[str, Any] = {}
+        if controller.stands:
+            more["stand"] = in_place or self._state is None
+        if controller.plans and request.stones is not None:
+            more["stones"] = request.stones[None]
         command = (0.0,) * 3 if in_place else (request.forward, request.sideways, request.yaw_rate)
         wanted = command[0] if forward_only else command
         if self._state is None:
             assert self.reading is not None
             self._heading = float(yaw(self.reading.estimate["orientation"]))
             self._state = controller.start(
-                self.reading.estimate, wanted, heading=self._heading, **stand
+                self._given(self.reading), wanted, heading=self._heading, **more
             )
         else:
-            estimate = None if reading is None else reading.estimate
+            given = None if reading is None else self._given(reading)
             turns = forward_only and command[2] != 0
             self._heading += command[2] * CASSIE.policy_period if turns else 0.0
             heading = self._heading if turns else None
-            self._state, _ = controller.step(
-                self._state, estimate, wanted, heading=heading, **stand
-            )
+            self._state, _ = controller.step(self._state, given, wanted, heading=heading, **more)
         target = np.asarray(self._state.motor_target, dtype=np.float64).reshape(-1)
         if target.shape != self._pose.shape or not np.isfinite(target).all():
             raise ValueError(f"motor targets must be {self._pose.size} finite angles, got {target}")
         return target
+
+    def _given(self, reading: Reading) -> Packets:
+        """What the controller gets of a reading: packets, or the estimate."""
+        if not self._controller.plans:
+            return reading.estimate
+        assert reading.packets is not None
+        return reading.packets[None]
 
     def _still(self, now: float) -> MotorCommand:
         """Command of a stage without the policy."""

@@ -5,6 +5,7 @@
     python -m aslip.network.twin --real-time --raw   # torques in, sensors out
     python -m aslip.network.twin --real-time --live  # with a page to watch, push and stop it
     python -m aslip.network.twin --engine drake      # in Drake instead of MuJoCo
+    python -m aslip.network.twin --raw --course 7    # over stones, for policies with a planner
 
 In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
 after the tick. A client that begins with zeros after another one has gone finds the robot on its
@@ -17,11 +18,12 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import asdict, dataclass
-from typing import Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 from aslip.base.command_line import command_line, say
 from aslip.base.processes import signals_exit
-from aslip.errors import one_line_errors
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.network.wire import (
     CASSIE_OUT,
     PD_IN,
@@ -32,6 +34,9 @@ from aslip.network.wire import (
     Endpoint,
     Link,
 )
+
+if TYPE_CHECKING:
+    from aslip.network.twin import TwinRobot
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,14 @@ class Config:
     estimate."""
     real_time: bool = False
     """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
+    course: str | None = None
+    """Stones to stand on instead of the floor: a JSON file, a pattern of
+    `aslip.sim.course.PATTERNS`, or the seed of a random course. The twin then tells a runner with
+    --listen 25005 where they are, and leads it along them."""
+    guide_port: int = 25005
+    """Port of loopback at which the runner listens to that."""
+    guide_speed: float = 0.5
+    """Speed at which the robot is led over a course [m/s]."""
     live: bool = False
     """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
     page_port: int = 8080
@@ -67,7 +80,11 @@ def main(config: Config) -> None:
         from aslip.network.twin import ENGINES, RealTimeServer, TwinRobot, serve_lockstep
         from aslip.network.twin.page import TwinPage
 
-        robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
+        robot = (
+            _robot_on_course(config)
+            if config.course
+            else TwinRobot(ENGINES[config.engine], raw=config.raw)
+        )
         server = RealTimeServer(robot, endpoint, say=say) if config.real_time else None
         page = TwinPage(robot, config.address, config.page_port) if config.live else None
 
@@ -90,6 +107,26 @@ def main(config: Config) -> None:
             say(f"{ticks}\n{robot.divergences} divergences, datagrams: {counts}")
             if page is not None:
                 page.close()
+
+
+def _robot_on_course(config: Config) -> TwinRobot:
+    """Robot on the stones of `--course`, with its guide.
+
+    Raises:
+        ConfigurationError: these stones are not for the engine, the mode or the page.
+    """
+    from aslip.network.twin import Guide, TwinRobot, mujoco_engine
+    from aslip.sim.course import find_course
+
+    if not config.raw or config.engine != "mujoco" or config.live:
+        raise ConfigurationError(
+            "--course needs --raw, as policies with a planner do, and MuJoCo, and no --live, whose"
+            " page does not show stones"
+        )
+    course = find_course(str(config.course))
+    robot = TwinRobot(partial(mujoco_engine, course=course), raw=True)
+    robot.guide = Guide(course, config.guide_port, config.guide_speed)
+    return robot
 
 
 if __name__ == "__main__":

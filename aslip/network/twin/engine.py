@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Final, Union
 
 from aslip.robot import Robot
 from aslip.sim import MakeDrive, Simulations
+from aslip.sim.course import Course
 from aslip.sim.drake import Contact
+from aslip.sim.stones import course_model
 
 if TYPE_CHECKING:
     from aslip.sim.drake import DrakeSimulation
@@ -20,9 +22,10 @@ MakeEngine = Callable[[Robot, MakeDrive], Engine]
 """Function of robot and drive that makes a simulation."""
 
 
-def mujoco_engine(robot: Robot, drive: MakeDrive) -> Engine:
-    """Make the simulation of a robot in MuJoCo."""
-    return Simulations(1, num_threads=1, robot=robot, drive=drive)
+def mujoco_engine(robot: Robot, drive: MakeDrive, course: Course | None = None) -> Engine:
+    """Make the simulation of a robot in MuJoCo, on the flat floor or on a course."""
+    model = None if course is None else course_model(course, visual=False)
+    return Simulations(1, model=model, num_threads=1, robot=robot, drive=drive)
 
 
 def drake_engine(robot: Robot, drive: MakeDrive, contact: Contact | None = None) -> Engine:

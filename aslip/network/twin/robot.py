@@ -12,6 +12,7 @@ from aslip.errors import ConfigurationError
 from aslip.estimation import Estimate, StateEstimator, Tracking
 from aslip.network.twin.drive import CommandedPD
 from aslip.network.twin.engine import MakeEngine, mujoco_engine
+from aslip.network.twin.guide import Guide
 from aslip.network.wire import (
     CASSIE_OUT,
     ESTIMATE_ENTRIES,
@@ -59,6 +60,8 @@ class TwinRobot:
         """(16,) channels of the operator's radio, -1 to 1. With channel 8 below 0, the emergency
         stop, the motors get no torque."""
         self.radio[STOP_CHANNEL] = 1.0
+        self.guide: Guide | None = None
+        """What tells the runner of stones and where to go, before each of its policy steps."""
         self._raw = raw
         tick = replace(CASSIE, substeps=1, packet_substeps=1)
         self._engine = make_engine(tick, CommandedPD)
@@ -158,6 +161,9 @@ class TwinRobot:
         self._push_ticks = max(self._push_ticks - 1, 0)
         diverged = self._engine.advance(numbers, push)
         self.ticks += 1
+        if self.guide is not None and self.ticks % CASSIE.substeps == 1:
+            at, qpos = CASSIE.indices, self.truth()["qpos"][0]
+            self.guide.send(qpos[at.pelvis_position], qpos[at.pelvis_orientation])
         if diverged[0]:
             self._tracking = None
         if not self._raw:

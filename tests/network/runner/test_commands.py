@@ -1,10 +1,12 @@
 """Schedules, keys of a pseudo terminal, and datagrams on loopback."""
 
+import json
 import math
 import os
 import socket
 import termios
 
+import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, NetworkError
@@ -120,6 +122,23 @@ def test_a_stop_or_damping_counts_before_a_newer_datagram() -> None:
         assert source.request(0.0, 0.0) == expected
 
 
+def test_stones_come_once_with_the_first_datagram_that_has_them() -> None:
+    """A triangle beside a square; heights are the mean of the corners'."""
+    square = [[0, 0, 0.1], [1, 0, 0.1], [1, 1, 0.3], [0, 1, 0.3]]
+    triangle = [[0, 2, -0.1], [0, 3, -0.1], [1, 2, -0.1]]  # clockwise
+    with Datagrams(0) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for entries in ({"stones": [square, triangle]}, {"forward": 0.5}):
+            sender.sendto(json.dumps(entries).encode(), ("127.0.0.1", source.port))
+        first, later = source.request(0.0, 0.0), source.request(0.1, 0.0)
+    assert (first.forward, later.forward, later.stones) == (0.5, 0.5, None)
+    assert first.stones is not None
+    np.testing.assert_allclose(first.stones[0], [[*c[:2], 0.2] for c in square], atol=1e-12)
+    last = [[1, 2, -0.1], [0, 3, -0.1], [0, 2, -0.1], [0, 2, -0.1]]
+    np.testing.assert_allclose(first.stones[1], last, atol=1e-12)
+    floor = parse_request(b'{"stones": []}').stones
+    assert floor is not None and np.isnan(floor).all()
+
+
 def test_a_port_in_use_for_commands_is_named() -> None:
     with Datagrams(0) as first, pytest.raises(NetworkError, match=f"{first.port}.*--listen"):
         Datagrams(first.port)
@@ -145,6 +164,14 @@ WRONG = {
     '{"forward": true}': "forward must be float",
     '{"walk": 1}': "walk must be bool",
     '{"damp": true}': "damp must be str",
+    '{"stones": 1}': "stones must be list",
+    '{"stones": [[1, 2, 3]]}': "stones must be lists of corners",
+    '{"stones": [[[1, 2], [2, 3], [4, 5]]]}': "stones must be lists of corners",
+    '{"stones": [[[1, 2, "x"]]]}': "stones must be lists of corners",
+    '{"stones": [[[0, 0, 0], [1, 0, 0], [1, NaN, 0]]]}': "stones must be within 100 m",
+    '{"stones": [[[0, 0, 0], [1, 0, 0]]]}': "three or more corners",
+    '{"stones": [[[0, 0, 0], [2, 0, 0], [1, 1, 0], [1, 2, 0]]]}': "must be convex",
+    '{"stones": [' + 64 * "0, " + "0]}": "at most 64, got 65",
 }
 
 

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,13 +18,13 @@ from aslip.control.estimates import standing_estimate
 from aslip.errors import ConfigurationError, FileDamagedError, NetworkError
 from aslip.library import GaitLibrary, Schedule
 from aslip.log import read
-from aslip.network.runner.commands import Scheduled
+from aslip.network.runner.commands import Datagrams, Scheduled
 from aslip.network.runner.load import Loaded, load, warm_up
 from aslip.network.runner.loop import LATE, Run, Tally, run_lockstep, run_real_time, take_priority
 from aslip.network.runner.readings import SensorReadings, StateReadings
 from aslip.network.runner.record import RunLog, replay, run_metadata
 from aslip.network.runner.supervisor import Limits, Request, Stage, Supervisor
-from aslip.network.twin import TwinRobot, serve_lockstep
+from aslip.network.twin import Guide, TwinRobot, mujoco_engine, serve_lockstep
 from aslip.network.wire import (
     CASSIE_OUT,
     PD_IN,
@@ -36,7 +37,9 @@ from aslip.network.wire import (
     pd_in_to_command,
     state_out_to_estimate,
 )
+from aslip.planning import Planner
 from aslip.robot import CASSIE
+from aslip.sim.course import stairs
 from tests.network.twin.sockets import robot_socket, serving, socket_to
 
 QUICK = Limits(settle=0.09, damping=0.06)
@@ -178,6 +181,37 @@ def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(
     assert (result.different, result.walked) == (0, 13)
 
 
+def test_a_policy_with_a_planner_walks_over_stones(loaded: Loaded, tmp_path: Path) -> None:
+    """The twin sends where they are; plans land on them, and logs replay."""
+    path, readings, course = tmp_path / "stones.mcap", SensorReadings(), stairs(0.0)
+    controller = Controller("directions", planner=Planner())
+    warm_up(controller)
+    twin = TwinRobot(partial(mujoco_engine, course=course), raw=True)
+    log = RunLog(path, CASSIE_OUT, loaded.files, run_metadata("directions", readings, QUICK))
+    seen: list[np.ndarray] = []
+    with connected(serve_lockstep, twin, raw=True) as endpoint, Datagrams(0) as source:
+        twin.guide = Guide(course, source.port, speed=0.4)
+        run = Run(Supervisor(controller, QUICK), readings, source, log=log, say=lambda _: None)
+        after = run.finish_tick
+
+        def finish_tick(now: int, *timing: float) -> None:
+            after(now, *timing)
+            state = run.supervisor._state
+            if state is not None:
+                seen.append(state.tensordict["plan", "on_stones"][0].numpy())
+            run.interrupted = "enough" if now > 2e9 else ""
+
+        run.finish_tick = finish_tick
+        run_lockstep(run, endpoint)
+    run.close()
+    twin.guide.close()
+    # it stands at first
+    assert (np.array(seen)[20:] > 0).mean() > 0.9
+    assert twin.truth()["qpos"][0, 0] > 0.2
+    result = replay(path, lambda _: controller, tmp_path)
+    assert (result.different, result.walked) == (0, len(seen))
+
+
 def serve_states(got: list[np.ndarray], until: float, server: Endpoint, stop: Any) -> None:
     """Send the state of a standing robot every 2 ms, for some time; collect the commands."""
     state, heard = estimate_to_state_out(standing_estimate()), 0.0
@@ -278,7 +312,7 @@ def test_policies_and_libraries_that_do_not_fit_are_named() -> None:
     with pytest.raises(ConfigurationError, match="follows other gaits"):
         load("straight", "single_reference")
     nine: Any = SimpleNamespace(
-        start=lambda *_, **__: SimpleNamespace(motor_target=np.zeros((1, 9)))
+        plans=False, start=lambda *_, **__: SimpleNamespace(motor_target=np.zeros((1, 9)))
     )
     nine.step = lambda state, *_, **__: (state, state.motor_target)
     with pytest.raises(ConfigurationError, match="not ten finite angles"):

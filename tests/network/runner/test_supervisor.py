@@ -27,6 +27,7 @@ class Recorder:
     fails: str = ""
     command_size: int = 1
     stands: bool = False
+    plans: bool = False
     pose: np.ndarray = field(default_factory=lambda: POSE)
 
     def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None, **stand: Any) -> Any:
