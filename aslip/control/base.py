@@ -104,8 +104,8 @@ class ControllerBase(ABC, Generic[AnyState]):
             heading: yaw that counts as straight ahead, in the frame of the IMU's attitude or of the
                 estimates [rad], one or (n, 1); by default the yaw in packets or estimates.
             stones: (n, m, e, 3) corners of the stones on which feet may land, from the pelvis and
-                along its yaw, level, and NaN where is none [m]; those of last time by default. For
-                controllers with a planner; without stones feet land on the floor.
+                along its yaw, level, and NaN where is none [m]. For controllers with a planner;
+                without stones feet land on the floor.
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
@@ -145,7 +145,7 @@ class ControllerBase(ABC, Generic[AnyState]):
                 default the command does not change.
             stand: new stand command, one or (n, 1), which acts like a new command.
             heading: new yaw that counts as straight ahead [rad], one or (n, 1).
-            stones: stones, see `start`.
+            stones: new stones, see `start`; by default the last ones stay where they are.
 
         Returns:
             New state, and its motor targets (n, m) [rad].

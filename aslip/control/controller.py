@@ -35,9 +35,9 @@ from aslip.transforms.planned import PlannedReference, planned_estimator
 from aslip.transforms.reference import feedforward_target
 from aslip.transforms.rotation import rotate_about_vertical, yaw
 
-# groups of entries that each step overwrites
 # corners (n, m, e, 3) of stones, level in the frame of the estimates [m]
 _STONES: Final = ("stones", "place")
+# groups of entries that each step overwrites
 _FRESH = ("estimate", "odometry", "estimator", "reference", "target", "plan", "clock")
 PATH_ERROR = ("odometry", "path_error")
 """Key of the distance from the commanded path, for which robots' own estimates need positions."""

@@ -270,11 +270,11 @@ def parse_request(text: bytes) -> Request:
         shown = entries["damp"][:_SHOWN]
         entries["damp"] = "".join(c if c.isprintable() else "?" for c in shown)
     if "stones" in entries:
-        entries["stones"] = parse_stones(entries["stones"])
+        entries["stones"] = _read_stones(entries["stones"])
     return Request(**entries)
 
 
-def parse_stones(given: Sequence[Any]) -> np.ndarray:
+def _read_stones(given: Sequence[Any]) -> np.ndarray:
     """Corners (m, e, 3) of stones, from lists of corners [x, y, z]; NaN for flat floor.
 
     Raises:

@@ -165,8 +165,9 @@ class SensorReadings:
             # NaN marks a bad IMU
             sensors["accelerometer"] = mean + 0 * sensors["accelerometer"]
             self._force.clear()
-        lost = np.full(CASSIE.packet_size, np.nan)
-        self._packets.append(lost if sensors is None else self._joined(sensors))
+            self._packets.append(self._joined(sensors))
+        else:
+            self._packets.append(np.full(CASSIE.packet_size, np.nan))
         self._estimate = self._estimator.update(self._tracking, sensors)
 
 

@@ -273,7 +273,7 @@ class Supervisor:
         return target
 
     def _given(self, reading: Reading) -> Packets:
-        """What the controller gets of a reading: packets, or the estimate."""
+        """Packets of a reading for a controller with a planner, its estimate for others."""
         if not self._controller.plans:
             return reading.estimate
         assert reading.packets is not None

@@ -107,6 +107,8 @@ def main(config: Config) -> None:
             say(f"{ticks}\n{robot.divergences} divergences, datagrams: {counts}")
             if page is not None:
                 page.close()
+            if robot.guide is not None:
+                robot.guide.close()
 
 
 def _robot_on_course(config: Config) -> TwinRobot:

@@ -1,4 +1,4 @@
-"""What a camera and a navigator on a robot would send its runner: stones ahead, and commands."""
+"""Guide of a simulated robot: stones and commands, in the datagrams that a runner listens to."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from aslip.base.checks import check_number
 from aslip.network.wire import LOOPBACK
 from aslip.network.wire.endpoint import check_port
+from aslip.planning.stones import turned
 from aslip.robot.rotation import yaw
 from aslip.sim.course import Course, along_course
 
@@ -48,12 +49,10 @@ class Guide:
         turn = yaw(orientation)
         place, speed = position[None, :2], np.array([[self.speed]])
         command = along_course(self.course.stones[None], place, np.array([[turn]]), speed)[0]
-        cosine, sine = np.cos(turn), np.sin(turn)
-        ahead = np.array([[cosine, -sine], [sine, cosine]])
         stones = []
         for corners, row in zip(self.course.corners, self.course.stones, strict=True):
             if np.linalg.norm(row[:2] - position[:2]) <= _SIGHT:
-                level = (corners - position[:2]) @ ahead
+                level = turned(corners - position[:2], -turn)
                 height = np.full((len(level), 1), row[2] - position[2])
                 stones.append(np.concatenate([level, height], 1).round(6).tolist())
         names = ("forward", "sideways", "yaw_rate")

@@ -61,7 +61,7 @@ class TwinRobot:
         stop, the motors get no torque."""
         self.radio[STOP_CHANNEL] = 1.0
         self.guide: Guide | None = None
-        """What tells the runner of stones and where to go, before each of its policy steps."""
+        """Guide that sends stones and commands to the runner before each of its policy steps."""
         self._raw = raw
         tick = replace(CASSIE, substeps=1, packet_substeps=1)
         self._engine = make_engine(tick, CommandedPD)
