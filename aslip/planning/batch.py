@@ -251,10 +251,13 @@ class BatchPlanner:
     def _arrival(self, problem: Problem, places: Array) -> Array:
         """Least times (n, m) until the swing foot can be at places (n, m, 2) [s]."""
         fast = self.program.limits.foot_speed
-        way = places - problem.swing[:, None, :2]
-        length = ((way**2).sum(-1) + 1e-12) ** 0.5
-        speed = fast + (way * problem.velocity[:, None]).sum(-1) / length
-        return problem.shift[:, None] + length / speed.clip(fast / 5)
+        times = []
+        for begin, place in problem.swings:
+            way = places - place[:, None, :2]
+            length = ((way**2).sum(-1) + 1e-12) ** 0.5
+            speed = fast + (way * problem.velocity[:, None]).sum(-1) / length
+            times.append(begin[:, None] + length / speed.clip(fast / 5))
+        return namespace(places).maximum(*times)
 
 
 def _clipped(step: Array, axes: Array, low: Array, high: Array) -> Array:

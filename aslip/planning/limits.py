@@ -41,8 +41,9 @@ class Limits:
     """Centre of pressure ahead of the middle of a foot that stands on a stone, or behind [m]."""
     step_time: Range = (0.25, 0.7)
     """Time between touchdowns [s]."""
-    foot_speed: float = 3.5
-    """Mean speed of the swing foot until touchdown, relative to the body [m/s]."""
+    foot_speed: float = 2.5
+    """Mean speed of the swing foot from lift-off until it is above its foothold, and from now until
+    the touchdown, both relative to the body [m/s]."""
     descent: float = 2.0
     """Mean speed at which it comes down [m/s]."""
     rise: float = 0.2

@@ -160,15 +160,18 @@ class Planner:
         times = least[:, None] + _CHORDS * (greatest - least)[:, None]
         at = self.program.variable(problem, times)
         slope = np.diff(times) / np.diff(at)
-        # time in flight >= start + slope t, of which the least chord is the curve's lower bound
-        start = times[:, :-1] - slope * at[:, :-1] - problem.shift[:, None]
+        # time >= start + slope t, of which the least chord is the curve's lower bound
+        start = times[:, :-1] - slope * at[:, :-1]
         fast = self.program.limits.foot_speed
         speed = np.maximum(fast + problem.velocity @ _DIRECTIONS.T, _SLOWEST * fast)[..., None]
         rows = np.empty((num, len(_DIRECTIONS), slope.shape[1], 3))
         rows[..., 0] = -speed * slope[:, None]
         rows[..., 1:] = _DIRECTIONS[:, None]
-        away = (problem.stance - problem.swing)[:, :2] @ _DIRECTIONS.T
-        bound = speed * start[:, None] - away[..., None]
+        late = -np.inf
+        for begin, place in problem.swings:
+            away = (problem.stance - place)[:, :2] @ _DIRECTIONS.T
+            late = np.maximum(late, speed * begin[:, None, None] + away[..., None])
+        bound = speed * start[:, None] - late
         return rows.reshape(num, -1, 3), bound.reshape(num, -1)
 
     def _choices(

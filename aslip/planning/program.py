@@ -30,7 +30,7 @@ from aslip.base.arrays import Array, is_numpy, namespace
 from aslip.base.checks import TINY, check_count, check_number
 from aslip.planning.limits import Limits, Weights
 from aslip.planning.pendulum import Pendulum
-from aslip.planning.state import LATER, WalkState
+from aslip.planning.state import LATER, SETTLE, WalkState
 
 # least time until a touchdown, and least freedom in it [s]
 _SOONEST = 0.01
@@ -46,6 +46,9 @@ class Problem:
     """(n, 3) least, nominal and greatest time until the next touchdown [s]."""
     shift: Array
     """(n,) time until the swing foot lifts off, 0 in flight [s]."""
+    begin: Array
+    """(n,) time at which it lifted off or does, later by that in which it is above its foothold
+    before the touchdown [s]."""
     growth: Array
     """(n, 2) divergent component at the nominal touchdown, from the stance foot [m]."""
     decay: Array
@@ -69,6 +72,8 @@ class Problem:
     """(n, 3) stance foot [m]."""
     swing: Array
     """(n, 3) swing foot [m]."""
+    lift_off: Array
+    """(n, 3) where it lifted off, or does [m]."""
     velocity: Array
     """(n, 2) of the body [m/s]."""
     ahead: Array
@@ -85,6 +90,11 @@ class Problem:
         cosine, sine = xp.cos(self.heading), xp.sin(self.heading)
         rows = xp.stack([cosine, sine, -side * sine, side * cosine], -1)
         return rows.reshape(*side.shape, 2, 2)
+
+    @property
+    def swings(self) -> tuple[tuple[Array, Array], ...]:
+        """Times (n,) and places (n, 3) from which the foot's speed is limited, see `Limits`."""
+        return (self.shift, self.swing), (self.begin, self.lift_off)
 
     def pressed(self, distance: Array) -> Problem:
         """Programs with the centre of pressure by (n,) along the toes [m], from one without."""
@@ -193,6 +203,7 @@ class Program:
         return Problem(
             times=xp.stack([least, nominal, greatest], -1),
             shift=shift,
+            begin=p.double_stance - state.since + SETTLE,
             growth=components[0],
             decay=components[1],
             toes=xp.stack([xp.cos(toes), xp.sin(toes)], -1),
@@ -204,6 +215,7 @@ class Program:
             offset=offset,
             stance=stance,
             swing=foot,
+            lift_off=state.lift_off,
             velocity=velocity,
             ahead=command[:, :2] * p.step_time,
             change=change,

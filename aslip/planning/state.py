@@ -139,8 +139,8 @@ def quintic(
 
 # acceleration at the top, per height and square of half the swing, of the least jerk there
 _TOP = -20 / 3
-# time before its touchdown at which a foot is above its foothold [s]
-_SETTLE = 0.05
+SETTLE: Final = 0.05
+"""Time before its touchdown at which a foot is above its foothold [s]."""
 # speed at which a foot touches the ground: one that came to rest there would land long before its
 # time at the least error of its height [m/s]
 _SINKING = 0.8
@@ -176,7 +176,7 @@ def swing(
     """
     xp, (gone, left) = namespace(time), times
     rest = xp.zeros_like(target[:, :2])
-    settled = xp.minimum(left, (left - _SETTLE).clip(_SETTLE))
+    settled = xp.minimum(left, (left - SETTLE).clip(SETTLE))
     level = quintic(
         (foot[0][:, :2], foot[1][:, :2], foot[2][:, :2]),
         (target[:, :2], rest, rest),

@@ -62,10 +62,12 @@ def _check_limits(case, plan, points):
         for value, (low, high) in zip(step, (LIMITS.length, LIMITS.width), strict=True):
             assert low - 1e-6 <= value <= high + 1e-6
     foot = case.state.of_foot(case.state.foot_position, swing=True)[0]
-    flight = time[0] - max(0.1 - case.state.since[0], 0)
-    way = (points[1] - foot)[:2] - case.state.body_velocity[0, :2] * flight
-    # the limit is an octagon
-    assert np.linalg.norm(way) <= LIMITS.foot_speed * flight / np.cos(np.pi / 8) + 1e-6
+    lifts = 0.1 - case.state.since[0]
+    for begin, place in ((max(lifts, 0.0), foot), (lifts + 0.05, case.state.lift_off[0])):
+        flight = time[0] - begin
+        way = (points[1] - place)[:2] - case.state.body_velocity[0, :2] * flight
+        # the limit is an octagon
+        assert np.linalg.norm(way) <= LIMITS.foot_speed * flight / np.cos(np.pi / 8) + 1e-6
 
 
 def test_a_push_ahead_is_answered_by_a_longer_and_sooner_step():
