@@ -145,11 +145,7 @@ def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 def push_values(numbers: Mapping[str, Any]) -> dict[str, float | Interval]:
     """Values of `benchmarks.robustness.pushes`."""
-    impulses = [cell["mean"] for row in numbers["pushes"] for cell in row["phases"]]
-    found: dict[str, float | Interval] = {
-        "pushes, least": float(np.min(impulses)),
-        "pushes, mean": float(np.mean(impulses)),
-    }
+    found: dict[str, float | Interval] = {**impulse_values(numbers["pushes"])}
     for name, (parameter, low, high) in SWEPT.items():
         rows = [
             row
@@ -160,3 +156,9 @@ def push_values(numbers: Mapping[str, Any]) -> dict[str, float | Interval]:
         share = Interval.of_share(survived, sum(row["trials"] for row in rows))
         found[name] = share.scaled(100)
     return found
+
+
+def impulse_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Least and mean impulse [N s] of rows of directions, over these and their phases."""
+    impulses = [cell["mean"] for row in rows for cell in row["phases"]]
+    return {"pushes, least": float(np.min(impulses)), "pushes, mean": float(np.mean(impulses))}

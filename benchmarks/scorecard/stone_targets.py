@@ -4,7 +4,7 @@
     python -m benchmarks.scorecard.stone_targets --policy runs/seed1 runs/seed2 --record s.json
 
 Random courses are those of difficulty 1: steps of 0.25 to 0.65 m, displaced by up to 10 cm to
-either side and up or down. Trainings draw theirs without end, so that these are new to a policy.
+either side and up or down. Their seed is another one than that of the recipe's courses.
 Several policies count as seeds of one method, and `--record` keeps the values of each, as in
 `benchmarks.scorecard.direction_targets`, whose targets hold on the floor.
 """
@@ -47,10 +47,8 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Final
-
-import numpy as np
 
 from aslip.base.interval import Interval
 from aslip.sim.course import PATTERNS
@@ -59,9 +57,11 @@ from benchmarks.directions import command_changes
 from benchmarks.planning import stepping_stones
 from benchmarks.robustness import pushes
 from benchmarks.robustness.parameters import SWEEPS
-from benchmarks.scorecard.direction_values import training_values
+from benchmarks.scorecard import direction_list
+from benchmarks.scorecard.direction_targets import COLUMNS
+from benchmarks.scorecard.direction_values import impulse_values, training_values
 from benchmarks.scorecard.record import ValueRecord, describe, policies_text
-from benchmarks.scorecard.verdicts import Claim, value_text, verdict_rows
+from benchmarks.scorecard.verdicts import Claim, verdict_rows
 
 
 def _completed(name: str, what: str, share: float) -> Claim:
@@ -69,9 +69,11 @@ def _completed(name: str, what: str, share: float) -> Claim:
     return Claim(name, f"{what}, completed [%]", at_least=share, digits=0)
 
 
+_ON_FLOOR: Final = {claim.name: claim for claim in direction_list.TARGETS}
+
 TARGETS: Final = (
-    Claim("samples", "policy steps of the training [million]", at_most=10.0),
-    Claim("time", "time of the training [min]", at_most=180.0, digits=0),
+    replace(_ON_FLOOR["samples"], at_most=10.0),
+    replace(_ON_FLOOR["time"], at_most=180.0),
     _completed("20 cm", "random courses of stones of 20 cm", 97.0),
     _completed("30 cm", "random courses of stones of 30 cm", 99.0),
     _completed("15 cm", "random courses of stones of 15 cm", 85.0),
@@ -82,33 +84,13 @@ TARGETS: Final = (
     Claim("feet", "foot from its foothold at touchdown, mean [cm]", at_most=2.0, digits=1),
     Claim("feet, 95 %", "distance that 95 % stay below [cm]", at_most=4.0, digits=1),
     Claim("touchdown", "touchdown before or after its time, mean [ms]", at_most=10.0, digits=0),
-    Claim(
-        "pushes, least",
-        "largest impulse survived at 1 m/s, worst direction and phase [N s]",
-        at_least=17.0,
-        digits=1,
-    ),
-    Claim("pushes, mean", "largest impulse survived at 1 m/s, mean [N s]", at_least=45.0, digits=1),
-    Claim(
-        "falls, changes",
-        "falls per 10 000 sudden changes of the command",
-        at_most=0.0,
-        every_seed=True,
-        digits=1,
-    ),
+    replace(_ON_FLOOR["pushes, least"], at_least=17.0),
+    _ON_FLOOR["pushes, mean"],
+    _ON_FLOOR["falls, changes"],
 )
 """Targets for the nominal robot; feet and touchdowns are those on random courses of 20 cm."""
 
-COLUMNS: Final = {
-    "target": "{name}",
-    "measured": "{measure}",
-    "limit": "{limit}",
-    "value": value_text,
-    "verdict": "{found[policy][verdict]}",
-}
-
-_NOT_RECORDED: Final = ("policy", "out", "record", "library")
-_ROBOTS: Final = 50  # whose commands change
+_NOT_RECORDED: Final = ("policy", "out", "record")
 
 
 @benchmark
@@ -140,8 +122,7 @@ def measure(
         rows |= {f"{size} cm" if row["course"] == "1" else row["course"]: row for row in found}
     unswept: dict[str, Any] = {sweep.flag: () for sweep in SWEEPS.values()}
     found = pushes.main(pushes.Config(**common, **unswept, out=out, directions=config.pushes), *of)
-    impulses = np.array([cell["mean"] for row in found["pushes"] for cell in row["phases"]])
-    robots = min(_ROBOTS, config.changes)
+    robots = min(command_changes.Config.robots, config.changes)
     (changed,) = command_changes.main(
         command_changes.Config(**common, out=out, changes=config.changes, robots=robots), *of
     )
@@ -149,8 +130,7 @@ def measure(
     return {
         **training_values(policy),
         **course_values(rows),
-        "pushes, least": float(impulses.min()),
-        "pushes, mean": float(impulses.mean()),
+        **impulse_values(found["pushes"]),
         "falls, changes": falls.scaled(1e4),
     }
 
