@@ -41,7 +41,7 @@ class Limits:
     """Centre of pressure ahead of the middle of a foot that stands on a stone, or behind [m]."""
     step_time: Range = (0.25, 0.7)
     """Time between touchdowns [s]."""
-    foot_speed: float = 2.5
+    foot_speed: float = 3.0
     """Mean speed of the swing foot from lift-off until it is above its foothold, and from now until
     the touchdown, both relative to the body [m/s]."""
     descent: float = 2.0

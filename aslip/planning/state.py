@@ -137,6 +137,20 @@ def quintic(
     return position, velocity / span, acceleration / span**2
 
 
+def _cubic(
+    start: Array, speed: Array, end: Array, duration: Array, time: Array
+) -> tuple[Array, Array, Array]:
+    """Path of least acceleration that comes to rest at an end (n, k), and stays, see `quintic`."""
+    xp, span = namespace(time), duration[:, None]
+    t = xp.minimum(time, duration)[:, None] / span
+    speed = speed * span
+    c2, c3 = 3 * (end - start) - 2 * speed, 2 * (start - end) + speed
+    position = start + t * (speed + t * (c2 + t * c3))
+    velocity = (speed + t * (2 * c2 + t * 3 * c3)) / span
+    acceleration = xp.where(t < 1, (2 * c2 + t * 6 * c3) / span**2, 0 * start)
+    return position, velocity, acceleration
+
+
 # acceleration at the top, per height and square of half the swing, of the least jerk there
 _TOP = -20 / 3
 SETTLE: Final = 0.05
@@ -161,8 +175,10 @@ def swing(
 ) -> tuple[Array, Array, Array]:
     """Motion (n, 3) of feet in flight to their targets: position, velocity, acceleration.
 
-    Seen from above, a path of least jerk, which ends a little before the touchdown: a foot that
-    touches the ground too early is on its foothold, too. Its height goes over a top in the middle
+    Seen from above, a path of least acceleration, which ends a little before the touchdown: a foot
+    that touches the ground too early is on its foothold, too. Its fastest part is 1.5 times as fast
+    as its mean; on one of least jerk, 1.875 times, hips reach the speed at which motors have no
+    torque. Its height goes over a top in the middle
     of the swing, as in `aslip.rom.swing`, and from there down, to a little above the ground at the
     touchdown.
 
@@ -175,14 +191,8 @@ def swing(
         time: (n,) from now, up to the touchdown [s].
     """
     xp, (gone, left) = namespace(time), times
-    rest = xp.zeros_like(target[:, :2])
     settled = xp.minimum(left, (left - SETTLE).clip(SETTLE))
-    level = quintic(
-        (foot[0][:, :2], foot[1][:, :2], foot[2][:, :2]),
-        (target[:, :2], rest, rest),
-        settled,
-        xp.minimum(time, settled),
-    )
+    level = _cubic(foot[0][:, :2], foot[1][:, :2], target[:, :2], settled, time)
     left = left + LATER
     half = (gone + left) / 2
     to_top = half - gone
