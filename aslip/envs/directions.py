@@ -175,6 +175,15 @@ def planned_stack(
             [("truth", "ground_force")],
             [("plan", "state"), ("plan", "time"), "mode"],
         ),
+        rewards.footstep: (
+            [
+                *(("odometry", foot) for foot in feet),
+                ("plan", "last_foothold"),
+                ("plan", "state"),
+                "mode",
+            ],
+            [],
+        ),
         rewards.level: ([(source, "pelvis_orientation")], []),
         rewards.velocity_diff: (
             [(source, name) for name in ("pelvis_orientation", "pelvis_velocity")],

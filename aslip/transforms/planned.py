@@ -44,11 +44,13 @@ from aslip.transforms.rotation import rotate_about_vertical
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
     {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
+    | {"last_foothold": 3}
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
-of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts
-to, see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there
+of first footholds that stones allow, see `Plan.on_stones`; the command that the plan amounts to,
+see `Plan.command`, or of robots that do not walk the command given; and where the foot in stance
+was to land [m]. For plans of N steps there
 are `later_footholds` (N - 1, 3), too [m]."""
 
 _VECTORS = (
@@ -149,7 +151,9 @@ class PlannedReference(SeededTransform):
     def begin(self, present: TensorDictBase) -> TensorDictBase:
         """Write the entries of robots that start, with those that the transform reads; in place."""
         phase = cast("Tensor", present["phase"])
-        return self._written(present, self._started(present)).set("phase", phase)
+        state = self._started(present)
+        stood = state.of_foot(state.foot_position, swing=False)
+        return self._written(present, state, stood).set("phase", phase)
 
     def go_on(self, past: TensorDictBase, present: TensorDictBase) -> TensorDictBase:
         """Write the entries a policy step after `past`, see `begin`; in place."""
@@ -158,17 +162,24 @@ class PlannedReference(SeededTransform):
         led = WalkState.from_rows(cast("Tensor", past["plan", "state"])).seen_from(*frame)
         state = self._drawn(landed(led, aim, past, present), present)
         flies = (state.since > self.planner.program.pendulum.double_stance)[:, None]
-        turned = rotate_about_vertical(
-            aim - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
+        turned, last = (
+            rotate_about_vertical(
+                place - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
+            )
+            for place in (aim, cast("Tensor", past["plan", "last_foothold"]))
         )
         left = cast("Tensor", past["plan", "time"]) - CASSIE.policy_period
+        lands = (left <= 0) | (state.stance != led.stance)[:, None]
+        last = torch.where(lands, turned, last)
         aim = torch.where(flies, torch.cat([turned[:, :2], left], -1), torch.nan)
         if self._stands:
             begins = cast("Tensor", past["mode"]) != WalkMode.WALK
             first = self._started(present).to_rows()
             state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
             aim = torch.where(begins, torch.nan, aim)
-        return self._written(present, state, aim)
+            stood = state.of_foot(state.foot_position, swing=False)
+            last = torch.where(begins, stood, last)
+        return self._written(present, state, last, aim)
 
     def _started(self, found: TensorDictBase) -> WalkState:
         odometry = cast("TensorDictBase", found["odometry"])
@@ -202,13 +213,14 @@ class PlannedReference(SeededTransform):
         )
 
     def _written(
-        self, into: TensorDictBase, state: WalkState, aim: Tensor | None = None
+        self, into: TensorDictBase, state: WalkState, last: Tensor, aim: Tensor | None = None
     ) -> TensorDictBase:
         """Plan from a state, and write reference, target, plan, odometry and phase."""
         shift = state.body_position[:, :2].clone()
         aim = None if aim is None else torch.cat([aim[:, :2] - shift, aim[:, 2:]], -1)
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
+        plan["last_foothold"] = last - torch.nn.functional.pad(shift, (0, 1))
         turn = later.heading.angle
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)

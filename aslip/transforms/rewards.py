@@ -73,8 +73,9 @@ PLANNED_WEIGHTS: Final = MappingProxyType(
         "power": 0.04,
         "landing": 0.04,
         "squeeze": 0.02,
-        "feet_apart": 0.22,
-        "touchdown": 0.2,
+        "feet_apart": 0.10,
+        "footstep": 0.20,
+        "touchdown": 0.12,
         "speed_diff": 0.07,
     }
 )
@@ -308,6 +309,34 @@ def feet_apart(
     """
     apart = left_foot_position - right_foot_position
     return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
+
+
+def footstep(
+    left_foot_position: Tensor,
+    right_foot_position: Tensor,
+    last_foothold: Tensor,
+    state: Tensor,
+    mode: Tensor,
+    scale: float = 0.03,
+) -> Tensor:
+    r""":math:`\exp(-d / s)`, d the distance of the foot in stance from its foothold.
+
+    The distance is along the ground. It is 1 in policy steps in which the plan puts a foot down,
+    and for robots that do not walk.
+
+    Args:
+        left_foot_position: (*b, 3) [m].
+        right_foot_position: (*b, 3) [m].
+        last_foothold: (*b, 3) where the foot in stance was to land [m, same frame].
+        state: (*b, 31) state of the plan, see `aslip.planning.WalkState.to_rows`.
+        mode: (*b, 1) `aslip.library.WalkMode`.
+        scale: distance s at which the term is 1/e [m].
+    """
+    right = state[..., -2:-1] > 0
+    stood = torch.where(right, right_foot_position, left_foot_position)
+    found = torch.exp(-_norm((stood - last_foothold)[..., :2]) / scale)
+    counts = (state[..., -1:] > CASSIE.policy_period) & (mode == WalkMode.WALK)
+    return torch.where(counts, found, 1.0)
 
 
 def touchdown(

@@ -68,6 +68,19 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
     assert walk["heading"].amax() > 3
 
 
+def test_plans_keep_where_the_foot_in_stance_was_to_land(walk: Any) -> None:
+    """Of the last plan before its touchdown, while the frame moves on."""
+    yaw = walk["heading"]
+    aim, last = (
+        walk["odometry", "origin"] + rotate_about_vertical(walk["plan", key], yaw)
+        for key in ("foothold", "last_foothold")
+    )
+    stays = (last[:, 1:] - last[:, :-1])[..., :2].norm(dim=-1) < 1e-5
+    lands = (last[:, 1:] - aim[:, :-1])[..., :2].norm(dim=-1) < 1e-5
+    assert (stays ^ lands).all()
+    assert lands.sum(1).min() >= 2
+
+
 def test_motors_put_feet_where_the_target_says(walk: Any) -> None:
     """Those that bear no weight are as much higher as the pelvis sinks below the plan."""
     target: Any = walk["target"].flatten(0, 1)
@@ -214,7 +227,7 @@ def test_policies_observe_the_command_of_the_plan() -> None:
     first = join_entries(td, stack["observation"].in_keys[:place]).shape[-1]
     assert torch.equal(td["observation"][:, first : first + 3], followed)
     assert (td["filtered_command"][:, 0] > 0.6).all()
-    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
+    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).max() > 0.1
     torch.testing.assert_close(followed[:, 2], td["filtered_command"][:, 2])
 
 

@@ -295,6 +295,21 @@ def test_velocity_diff_is_compared_along_the_ground_from_either_heading() -> Non
     assert slow.item() == pytest.approx(math.exp(-0.1 * math.hypot(0.6, 0.1) / 0.1), abs=1e-5)
 
 
+def test_footstep_is_the_way_along_the_ground_from_where_the_foot_in_stance_should_be() -> None:
+    feet = torch.tensor([[[0.3, 0.1, 0.0]], [[-0.2, -0.1, 0.0]]])
+    for stance in (0, 1):
+        aim = feet[stance] + torch.tensor([0.03, -0.04, 0.1])
+        for since, mode, away in (
+            (0.2, WalkMode.WALK, 0.05),
+            (0.02, WalkMode.WALK, 0.0),  # lands in this policy step
+            (0.2, WalkMode.STAND, 0.0),
+        ):
+            state = torch.zeros(1, WalkState.SIZE)
+            state[0, -2:] = torch.tensor([stance, since])
+            found = rewards.footstep(feet[0], feet[1], aim, state, torch.tensor([[float(mode)]]))
+            assert found.item() == pytest.approx(math.exp(-away / 0.03), abs=1e-5)
+
+
 def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
     cases = [  # loads on stance and swing foot [weights], since, time to touchdown [s], mode
         (1.0, 0.0, 0.3, 0.2, WalkMode.WALK, 0.0),
