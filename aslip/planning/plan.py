@@ -17,7 +17,7 @@ _LEAST_LOAD = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PlanSample:
-    """Motion of m robots, or of one at m times; left before right on every foot axis."""
+    """Motion of robots at m times; left before right on every foot axis."""
 
     body: Track
     """(m, 3) body, mapped to the origin of the pelvis."""
@@ -153,15 +153,14 @@ class Plan:
         return namespace(turn).concatenate([way / self.time[:, -1:], turn], -1)
 
     def sample(self, time: Array) -> PlanSample:
-        """Motion at a time (n,) of each robot, or at times (m,) of a single one [s].
+        """Motion at a time of each robot, (n,), or at one after another of all, (k n,) [s].
 
         Times from 0 to the last touchdown; others are moved there.
         """
         xp, s = namespace(time), self.state
-        zero = 0.0 * time
-        time = xp.minimum(time.clip(0.0), self.time[:, -1])
-        done = (time[:, None] >= self.time[:, :-1]).sum(-1)
-        rows = s.rows if len(s.since) > 1 else 0 * done
+        zero, rows = 0.0 * time, xp.arange(len(time), device=time.device) % len(s.since)
+        time = xp.minimum(time.clip(0.0), self.time[rows, -1])
+        done = (time[:, None] >= self.time[rows, :-1]).sum(-1)
         # the state first, then the touchdowns, as far as footsteps begin there
         began = xp.where(done == 0, zero, self.time[rows, done - 1])
         since = xp.where(done == 0, s.since[rows], zero)

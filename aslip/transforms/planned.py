@@ -14,6 +14,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
+from aslip.base.arrays import namespace
 from aslip.base.checks import check_number
 from aslip.estimation import FilterNoise, StateEstimator
 from aslip.library import GaitLibrary, WalkMode
@@ -285,10 +286,13 @@ class PlannedReference(SeededTransform):
         if "stones" in given:
             given = {**given, "stones": Stones.from_corners(*given["stones"])}
         plan = cast("Any", planner).plan(state, command, **given)
+        period, num = CASSIE.policy_period, len(command)
+        times = (0.0, period, period - NEAR, period + NEAR)
         zero = 0 * command[:, 0]
+        samples = plan.sample(namespace(zero).concatenate([zero + time for time in times]))
         now, later, *around = (
-            plan.sample(zero + CASSIE.policy_period + shift)
-            for shift in (-CASSIE.policy_period, 0.0, -NEAR, NEAR)
+            mapped(lambda value: value[k * num : (k + 1) * num], samples)  # noqa: B023
+            for k in range(len(times))
         )
         written = {
             "state": later.state().to_rows(),
