@@ -93,7 +93,7 @@ import ppo_directions
 
 from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.sim.course import random_stones
+from aslip.sim.course import lay_stones, random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import CourseCommand, RandomFootsteps
 from aslip.transforms.planned import default_planner
@@ -103,8 +103,15 @@ from aslip.walking import WalkResult
 _SPEEDS = (0.6, 1.1)
 # sides of stones [m], difficulties, courses of each, stones of a course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3, 0.45), (0.0, 0.5, 1.0), 300, 16, 77
-# width of the ground on which no robot falls into a gap [m]
+# length of steps, distance of the feet and rise of a step of varied courses, at least and most [m]
+_LEAST, _MOST = (0.22, 0.12, -0.1), (0.5, 0.4, 0.1)
+# differences of single steps in length and rise [m], largest turn from straight ahead [rad], and
+# stones until the next
+_DIFFERENCES, _TURN, _STRAIGHT = (0.08, 0.05), 0.35, 4
+# width of treads, and of the ground on which no robot falls into a gap [m]
 _WIDTH = 1.2
+# between stones [m]
+_LEAST_GAP = 0.02
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
@@ -143,7 +150,8 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
 def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]:
     """Stones (p, s, 6) of random courses, and none at all for the rest of the episodes.
 
-    The second array are the stones that robots see. A share of the first reach to the next ones.
+    The second array are the stones that robots see. A share of the first reach to the next ones,
+    unless the course turns.
     """
     rng = np.random.default_rng(_SEED)
     courses = [
@@ -151,12 +159,36 @@ def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]
         for size in _SIZES
         for difficulty in _DIFFICULTIES
     ]
+    courses += [varied_stones(rng, len(_DIFFICULTIES) * _EACH, size) for size in _SIZES]
     stones = np.concatenate(courses)
     flat = np.full((round(len(stones) * (1 - share) / share), *stones.shape[1:]), np.nan)
     shown = np.concatenate([stones, flat])
-    ground, widened = shown.copy(), rng.random(len(shown)) < supported
+    ground, turns = shown.copy(), (np.nan_to_num(shown[..., 3]) != 0).any(1)
+    widened = (rng.random(len(shown)) < supported) & ~turns
     ground[widened] = touching(shown[widened])
     return ground, shown
+
+
+def varied_stones(rng: np.random.Generator, num: int, size: float) -> np.ndarray:
+    """Stones (num, s, 6) of courses that differ from each other.
+
+    Each has its own length, width and rise of steps. A third turn; a third of the others are
+    treads.
+    """
+    step, apart, rise = rng.uniform(_LEAST, _MOST, (num, 3)).T[..., None]
+    longer, higher = rng.uniform(-1.0, 1.0, (2, num, _COUNT))
+    kind = rng.random((num, 1))
+    turns, treads = kind < 1 / 3, kind[:, 0] > 7 / 9
+    heading = rng.uniform(-_TURN, _TURN, (num, _COUNT)).repeat(_STRAIGHT, 1)[:, :_COUNT]
+    stones = lay_stones(
+        np.maximum(step + _DIFFERENCES[0] * longer, size + _LEAST_GAP),
+        apart=apart,
+        rise=rise + _DIFFERENCES[1] * higher,
+        turn=np.diff(heading * turns, axis=1, prepend=0.0),
+        size=size,
+    )
+    stones[treads, 1:-1, 1], stones[treads, 1:-1, 5] = 0.0, _WIDTH
+    return stones
 
 
 def touching(stones: np.ndarray) -> np.ndarray:

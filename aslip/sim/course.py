@@ -277,7 +277,7 @@ def _gap(first: np.ndarray, second: np.ndarray, *, of_both: bool = True) -> floa
     return float(max(gaps))
 
 
-def _lay(
+def lay_stones(
     step: np.ndarray,
     *,
     apart: np.ndarray | float = _FEET_APART,
@@ -341,7 +341,7 @@ def random_stones(
     low, high = np.array([[-0.15], [-0.1], [-0.1]]), np.array([[0.25], [0.1], [0.1]])
     draws = difficulty * generator.uniform(low, high, (num, 3, count))
     steps = np.maximum(step + draws[:, 0], size + 0.02)
-    return _lay(steps, sideways=draws[:, 1], rise=draws[:, 2], size=size)
+    return lay_stones(steps, sideways=draws[:, 1], rise=draws[:, 2], size=size)
 
 
 def random_course(
@@ -386,7 +386,7 @@ def pattern(name: str, *, count: int = 20, size: float = STONE_SIZE) -> Course:
         raise UnknownNameError.among("pattern", name, PATTERNS)
     check_count("count", count)
     rows = {"step": [0.4]} | dict(_PATTERNS[name])
-    return Course(_lay(**{k: np.resize(v, count) for k, v in rows.items()}, size=size))
+    return Course(lay_stones(**{k: np.resize(v, count) for k, v in rows.items()}, size=size))
 
 
 def find_course(name: str) -> Course:

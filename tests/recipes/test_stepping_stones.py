@@ -71,12 +71,27 @@ def test_courses_are_of_a_share_of_the_episodes() -> None:
 
 
 def test_on_a_share_of_them_no_robot_falls_into_a_gap() -> None:
-    """The ground reaches from stone to stone, at the height of the nearest one."""
+    """The ground reaches from stone to stone, at the height of the nearest one, without turns."""
     ground, shown = stepping_stones.course_pool(1.0, 0.4)
-    widened = (ground != shown).any((1, 2))
-    assert widened.mean() == pytest.approx(0.4, abs=0.05)
+    widened, turns = (ground != shown).any((1, 2)), (shown[..., 3] != 0).any(1)
+    assert widened[~turns].mean() == pytest.approx(0.4, abs=0.05)
+    assert not widened[turns].any()
     edges = ground[widened][..., :1] + ground[widened][..., 4:5] * np.array([-0.5, 0.5])
     np.testing.assert_allclose(edges[:, 1:, 0], edges[:, :-1, 1], atol=1e-12)
     assert np.array_equal(ground[..., 2], shown[..., 2])
     middle = shown[widened][..., 0]
     assert ((edges[..., 0] < middle) & (middle < edges[..., 1])).all()
+
+
+def test_varied_courses_have_steps_of_their_own() -> None:
+    stones = stepping_stones.varied_stones(np.random.default_rng(0), 600, 0.2)[:, 1:-1]
+    step = np.linalg.norm(np.diff(stones[..., :2], axis=1), axis=-1)
+    turns, treads = (stones[..., 3] != 0).any(1), stones[:, 0, 5] > 1
+    assert turns.mean() == pytest.approx(1 / 3, abs=0.06)
+    assert treads.mean() == pytest.approx(2 / 9, abs=0.06)
+    assert not (turns & treads).any()
+    assert step[treads].min() >= 0.22 - 1e-9
+    assert np.ptp(step[~treads].mean(1)) > 0.25
+    rise = np.diff(stones[..., 2], axis=1)
+    assert abs(rise).max() < 0.2  # the planner's limit
+    assert np.ptp(rise.mean(1)) > 0.15
