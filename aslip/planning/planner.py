@@ -62,13 +62,15 @@ class Planner:
                 further they are from it, so that noise does not change them.
 
         Raises:
-            SolverError: there is no solution, as for a state or command that is not finite.
+            SolverError: a state or command is not finite.
         """
+        finite = np.isfinite(np.concatenate([state.to_rows(), command], 1)).all(1)
+        if not finite.all():
+            lost = np.flatnonzero(~finite).tolist()
+            raise SolverError(f"state and command must be finite, those of robots {lost} are not")
         problem = self.program.problem(state, command, aim)
         found = [search.best() for search in self.searches(problem, stones, aim)]
         variables = np.array([one.variables for one in found])
-        if not np.isfinite(variables).all():
-            raise SolverError("the footsteps are not finite; state and command must be finite")
         chosen = np.full((len(found), self.program.steps), -1)
         for row, one in zip(chosen, found, strict=True):
             row[: len(one.stones)] = one.stones

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import daqp
 import numpy as np
@@ -200,7 +201,7 @@ class StoneSearch:
             self._low[:rows],
             sense,
         )
-        return (x, cost) if flag > 0 else None
+        return (x, cost) if flag > 0 and isfinite(cost) else None
 
     def _nearest(self, *, within_limits: bool) -> Found:
         """Step that violates least: the edges of a stone, and the limits if they must."""

@@ -104,8 +104,17 @@ def test_beyond_all_limits_and_without_stones_there_is_a_plan_that_says_so():
         assert np.isfinite(plan.foothold).all()
     plan = PLANNER.plan(case.state, case.command, gone)
     assert plan.within_limits[0] and plan.on_stones[0] == 0
-    with pytest.raises(SolverError, match="must be finite"):
+    with pytest.raises(SolverError, match=r"must be finite, those of robots \[0\] are not"):
         PLANNER.plan(replace(case.state, body_velocity=np.full((1, 3), np.nan)), case.command)
+
+
+def test_a_solution_that_is_not_finite_is_none(monkeypatch):
+    case = _cases(1)[0]
+    nothing = np.full(10, np.nan)
+    monkeypatch.setattr("daqp.solve", lambda *_: (nothing, np.nan, 1, {}))
+    plan = PLANNER.plan(case.state, case.command, case.stones)
+    assert not plan.within_limits[0]
+    assert np.isfinite(plan.foothold).all()
 
 
 def test_several_robots_are_planned_as_each_alone():
