@@ -93,7 +93,7 @@ import ppo_directions
 
 from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.sim.course import lay_stones, random_stones
+from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import CourseCommand, RandomFootsteps
 from aslip.transforms.planned import default_planner
@@ -110,8 +110,6 @@ _LEAST, _MOST = (0.22, 0.12, -0.1), (0.5, 0.4, 0.1)
 _DIFFERENCES, _TURN, _STRAIGHT = (0.08, 0.05), 0.35, 4
 # width of treads, and of the ground on which no robot falls into a gap [m]
 _WIDTH = 1.2
-# between stones [m]
-_LEAST_GAP = 0.02
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
@@ -181,7 +179,7 @@ def varied_stones(rng: np.random.Generator, num: int, size: float) -> np.ndarray
     turns, treads = kind < 1 / 3, kind[:, 0] > 7 / 9
     heading = rng.uniform(-_TURN, _TURN, (num, _COUNT)).repeat(_STRAIGHT, 1)[:, :_COUNT]
     stones = lay_stones(
-        np.maximum(step + _DIFFERENCES[0] * longer, size + _LEAST_GAP),
+        np.maximum(step + _DIFFERENCES[0] * longer, size + LEAST_GAP),
         apart=apart,
         rise=rise + _DIFFERENCES[1] * higher,
         turn=np.diff(heading * turns, axis=1, prepend=0.0),

@@ -178,9 +178,8 @@ def swing(
     Seen from above, a path of least acceleration, which ends a little before the touchdown: a foot
     that touches the ground too early is on its foothold, too. Its fastest part is 1.5 times as fast
     as its mean; on one of least jerk, 1.875 times, hips reach the speed at which motors have no
-    torque. Its height goes over a top in the middle
-    of the swing, as in `aslip.rom.swing`, and from there down, to a little above the ground at the
-    touchdown.
+    torque. The foot's height goes over a top in the middle of the swing, as in `aslip.rom.swing`,
+    and from there down, to a little above the ground at the touchdown.
 
     Args:
         foot: position, velocity and acceleration (n, 3) now.

@@ -29,6 +29,8 @@ STONE: Final = ("x", "y", "z", "yaw", "length", "width")
 width along its own y [m]. Of another convex polygon, the last three are NaN."""
 STONE_SIZE: Final = 0.2
 """Side of a square stone [m]; Cassie's foot is 0.16 m long."""
+LEAST_GAP: Final = 0.02
+"""Gap that is left between stones of random lengths of steps [m]."""
 LARGEST_GAP: Final = 0.6
 """Largest gap to an earlier stone [m], along the normal of an edge; the longest steps of the gait
 library are 0.8 m."""
@@ -340,7 +342,7 @@ def random_stones(
     check_count("count", count, most=MOST_STONES - 2)
     low, high = np.array([[-0.15], [-0.1], [-0.1]]), np.array([[0.25], [0.1], [0.1]])
     draws = difficulty * generator.uniform(low, high, (num, 3, count))
-    steps = np.maximum(step + draws[:, 0], size + 0.02)
+    steps = np.maximum(step + draws[:, 0], size + LEAST_GAP)
     return lay_stones(steps, sideways=draws[:, 1], rise=draws[:, 2], size=size)
 
 

@@ -44,15 +44,21 @@ from aslip.transforms.reference import reference_and_target
 from aslip.transforms.rotation import rotate_about_vertical
 
 PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
-    {"state": WalkState.SIZE, "foothold": 3, "time": 1, "on_stones": 1, "filtered_command": 3}
-    | {"last_foothold": 3}
+    {
+        "state": WalkState.SIZE,
+        "foothold": 3,
+        "last_foothold": 3,
+        "time": 1,
+        "on_stones": 1,
+        "filtered_command": 3,
+    }
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
-columns of `WalkState.to_rows`; the next foothold [m]; the time until that touchdown [s]; the number
-of first footholds that stones allow, see `Plan.on_stones`; the command that the plan amounts to,
-see `Plan.command`, or of robots that do not walk the command given; and where the foot in stance
-was to land [m]. For plans of N steps there
-are `later_footholds` (N - 1, 3), too [m]."""
+columns of `WalkState.to_rows`; the next foothold [m]; that of the foot in stance, from the last
+plan before it landed [m]; the time until the next touchdown [s]; the number of first footholds that
+stones allow, see `Plan.on_stones`; and the command that the plan amounts to, see `Plan.command`, or
+of robots that do not walk the command given. For plans of N steps there are `later_footholds` (N -
+1, 3), too [m]."""
 
 _VECTORS = (
     *("body_position", "body_velocity"),
@@ -163,12 +169,9 @@ class PlannedReference(SeededTransform):
         led = WalkState.from_rows(cast("Tensor", past["plan", "state"])).seen_from(*frame)
         state = self._drawn(landed(led, aim, past, present), present)
         flies = (state.since > self.planner.program.pendulum.double_stance)[:, None]
-        turned, last = (
-            rotate_about_vertical(
-                place - torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
-            )
-            for place in (aim, cast("Tensor", past["plan", "last_foothold"]))
-        )
+        shift, turn = torch.nn.functional.pad(frame[0], (0, 1)), -frame[1][:, None]
+        last = cast("Tensor", past["plan", "last_foothold"])
+        turned, last = (rotate_about_vertical(place - shift, turn) for place in (aim, last))
         left = cast("Tensor", past["plan", "time"]) - CASSIE.policy_period
         lands = (left <= 0) | (state.stance != led.stance)[:, None]
         last = torch.where(lands, turned, last)

@@ -69,7 +69,7 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
 
 
 def test_plans_keep_where_the_foot_in_stance_was_to_land(walk: Any) -> None:
-    """Of the last plan before its touchdown, while the frame moves on."""
+    """The foothold is that of the last plan before the touchdown, also as the frame moves on."""
     yaw = walk["heading"]
     aim, last = (
         walk["odometry", "origin"] + rotate_about_vertical(walk["plan", key], yaw)
@@ -220,14 +220,14 @@ def test_policies_observe_the_command_of_the_plan() -> None:
     stack = insert_before(planned_stack(), "reference", stones=OneStone())
     env = aslip.make_env(num_envs=2, seed=3, stack=stack)
     check_policy_fits("directions", env)
-    command = torch.tensor([[0.8, 0.0, 0.3]]).expand(2, 3)
+    command = torch.tensor([[1.2, 0.0, 0.3]]).expand(2, 3)
     td = env.reset(TensorDict({"command": command, "stand": torch.zeros(2, 1)}, [2]))
     followed = cast("torch.Tensor", td["plan", "filtered_command"])
     place = DIRECTION_TABLE.index("filtered_command")
     first = join_entries(td, stack["observation"].in_keys[:place]).shape[-1]
     assert torch.equal(td["observation"][:, first : first + 3], followed)
     assert (td["filtered_command"][:, 0] > 0.6).all()
-    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).max() > 0.1
+    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
     torch.testing.assert_close(followed[:, 2], td["filtered_command"][:, 2])
 
 
