@@ -93,6 +93,7 @@ import ppo_directions
 
 from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
+from aslip.planning import BatchPlanner
 from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import CourseCommand, RandomFootsteps
@@ -125,7 +126,8 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
         resume_hint,
         # exact plans are for CPUs
         make_stack=partial(
-            planned_stack, planner=default_planner() if config.backend == "warp" else None
+            planned_stack,
+            planner=BatchPlanner(default_planner().program) if config.backend == "warp" else None,
         ),
         add_training=partial(add_footsteps, config),
         numbers=[("plan", "on_stones"), ("plan", "time")],

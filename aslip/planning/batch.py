@@ -61,7 +61,7 @@ class BatchPlanner:
         program = self.program
         if "64" not in str(command.dtype):
             raise ShapeError(f"planning takes numbers in double precision, got {command.dtype}")
-        problem = program.problem(state, command, aim)
+        problem = program.problem(state, command, stones, aim)
         xp, cost = namespace(command), program.cost(problem)
         least, _, greatest = program.variable(problem, problem.times).T
         variable = self._rest(cost, [], None)[0].clip(least, greatest)
@@ -104,7 +104,7 @@ class BatchPlanner:
             problem, cost = pressed, program.cost(pressed)
         taken = xp.stack(steps, 1)
         stone = xp.stack(chosen, -1) if chosen else 0 * problem.side - 1
-        kept = xp.stack(possible, -1).cumprod(-1) if possible else 0 * problem.side
+        kept = xp.stack(possible, -1).cumprod(-1) if possible else 0 * problem.side + 1
         return Plan.of(
             program,
             problem,
@@ -236,7 +236,7 @@ class BatchPlanner:
         violation = violation + rise.clip(0.0) ** 2
         if k == 0:
             late = self._arrival(problem, foothold[:, None] + inside) - problem.times[:, 2:]
-            violation = violation + (self.program.limits.foot_speed * late.clip(0.0)) ** 2
+            violation = violation + (problem.fast[:, None] * late.clip(0.0)) ** 2
         cost = cost + _VIOLATION * violation
         best = xp.where(stones.present, cost, 0 * cost + np.inf).argmin(-1)
         rows = xp.arange(len(best), device=cost.device)
@@ -250,14 +250,14 @@ class BatchPlanner:
 
     def _arrival(self, problem: Problem, places: Array) -> Array:
         """Least times (n, m) until the swing foot can be at places (n, m, 2) [s]."""
-        fast = self.program.limits.foot_speed
+        xp, fast = namespace(places), problem.fast[:, None]
         times = []
         for begin, place in problem.swings:
             way = places - place[:, None, :2]
             length = ((way**2).sum(-1) + 1e-12) ** 0.5
             speed = fast + (way * problem.velocity[:, None]).sum(-1) / length
-            times.append(begin[:, None] + length / speed.clip(fast / 5))
-        return namespace(places).maximum(*times)
+            times.append(begin[:, None] + length / xp.maximum(speed, fast / 5))
+        return xp.maximum(*times)
 
 
 def _clipped(step: Array, axes: Array, low: Array, high: Array) -> Array:

@@ -44,6 +44,8 @@ class Limits:
     foot_speed: float = 3.0
     """Mean speed of the swing foot from lift-off until it is above its foothold, and from now until
     the touchdown, both relative to the body [m/s]."""
+    floor_speed: float = 3.5
+    """The same on the floor, where a foot may land short of its foothold [m/s]."""
     descent: float = 2.0
     """Mean speed at which it comes down [m/s]."""
     rise: float = 0.2

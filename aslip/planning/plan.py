@@ -136,7 +136,7 @@ class Plan:
             heading=problem.heading,
             yaw_rate=command[:, 2],
             stones=chosen,
-            on_stones=on_stones if stones is not None else on_stones * 0 + program.steps,
+            on_stones=on_stones,
             within_limits=within_limits,
             cost=cost,
             body=_bodies(program, problem, state, variable, steps, foothold),

@@ -44,11 +44,12 @@ class Planner:
         state: WalkState,
         command: np.ndarray,
         stones: Stones | None = None,
+        shift: np.ndarray | None = None,
         aim: np.ndarray | None = None,
     ) -> Plan:
         """Plan footsteps.
 
-        Without stones the floor is flat, at the height of the stance foot. If no stones are
+        Robots without stones are on flat floor, at the height of the stance foot. If no stones are
         possible for all steps, the last steps are free. If none is possible for the next step, it
         comes as close to a stone as the limits allow; if these cannot be kept, it violates them
         least. The plan says so, see `Plan.on_stones` and `Plan.within_limits`.
@@ -56,7 +57,9 @@ class Planner:
         Args:
             state: state of n robots.
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
-            stones: stones in the frame of the state.
+            stones: stones in the frame of the state; a robot may have none.
+            shift: (n, 2) displacement of the next foothold from the optimal one on the floor, as
+                far as the limits allow [m].
             aim: (n, 3) foothold ahead and aside that the foot in flight was going to [m] and the
                 time until its touchdown [s], NaN for none: other stones and times cost more the
                 further they are from it, so that noise does not change them.
@@ -68,8 +71,12 @@ class Planner:
         if not finite.all():
             lost = np.flatnonzero(~finite).tolist()
             raise SolverError(f"state and command must be finite, those of robots {lost} are not")
-        problem = self.program.problem(state, command, aim)
-        found = [search.best() for search in self.searches(problem, stones, aim)]
+        problem = self.program.problem(state, command, stones, aim)
+        searches = self.searches(problem, stones, aim)
+        found = [search.best() for search in searches]
+        if shift is not None:
+            for i in np.flatnonzero(~problem.on_stones & shift.any(1)):
+                found[i] = searches[i].moved(found[i], shift[i])
         variables = np.array([one.variables for one in found])
         chosen = np.full((len(found), self.program.steps), -1)
         for row, one in zip(chosen, found, strict=True):
@@ -83,7 +90,7 @@ class Planner:
             steps=variables[:, 1:-1].reshape(len(found), -1, 2),
             stones=stones,
             chosen=chosen,
-            on_stones=np.array([len(one.stones) if one.on_stones else 0 for one in found]),
+            on_stones=np.array([one.on_stones for one in found]),
             within_limits=np.array([one.within_limits for one in found]),
             cost=np.array([one.cost for one in found]),
         )
@@ -92,14 +99,11 @@ class Planner:
         self, problem: Problem, stones: Stones | None = None, aim: np.ndarray | None = None
     ) -> list[StoneSearch]:
         """Searches for the best stones of n robots, see `plan`."""
-        programs = self.programs(problem, on_stones=stones is not None)
+        programs, there = self.programs(problem), problem.on_stones
         choices = None if stones is None else self._choices(problem, programs, stones, aim)
-        if choices is None:
-            least = self.program.least_time(problem, problem.stance[:, 2:])
-            programs.low[:, 0] = self.program.variable(problem, least)[:, 0]
-        return [StoneSearch(programs, choices, i) for i in range(len(programs.constant))]
+        return [StoneSearch(programs, choices if on else None, i) for i, on in enumerate(there)]
 
-    def programs(self, problem: Problem, *, on_stones: bool) -> Programs:
+    def programs(self, problem: Problem) -> Programs:
         """Programs with the robot's limits: speed of the foot, centre of pressure, steps, reach."""
         program, num = self.program, len(problem.shift)
         limits, steps, by_pressure = program.limits, program.steps, program.by_pressure(problem)
@@ -109,10 +113,13 @@ class Planner:
         low = np.full((num, 1 + matrix.shape[1]), -np.inf)
         high = np.empty_like(low)
         # the centre of pressure follows the speeds
-        matrix[:, count, -1], most = 1.0, limits.pressure if on_stones else 0.0
+        matrix[:, count, -1], most = 1.0, limits.pressure * problem.on_stones
         low[:, 1 + count], high[:, 1 + count] = -most, most
-        times = program.variable(problem, problem.times[:, ::2])
-        low[:, 0], high[:, 0] = times[:, 0], times[:, 1]
+        times = problem.times[:, ::2].copy()
+        # down to the floor; stones have times of their own
+        floor = ~problem.on_stones
+        times[floor, :1] = program.least_time(problem, problem.stance[:, 2:])[floor]
+        low[:, 0], high[:, 0] = program.variable(problem, times).T
         matrix[:, :count, :3], high[:, 1 : count + 1] = speed, fastest
         count += 1
         # steps and feet relative to the body, along and across the heading, outward positive
@@ -164,7 +171,7 @@ class Planner:
         slope = np.diff(times) / np.diff(at)
         # time >= start + slope t, of which the least chord is the curve's lower bound
         start = times[:, :-1] - slope * at[:, :-1]
-        fast = self.program.limits.foot_speed
+        fast = problem.fast[:, None]
         speed = np.maximum(fast + problem.velocity @ _DIRECTIONS.T, _SLOWEST * fast)[..., None]
         rows = np.empty((num, len(_DIRECTIONS), slope.shape[1], 3))
         rows[..., 0] = -speed * slope[:, None]

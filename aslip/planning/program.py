@@ -31,6 +31,7 @@ from aslip.base.checks import TINY, check_count, check_number
 from aslip.planning.limits import Limits, Weights
 from aslip.planning.pendulum import Pendulum
 from aslip.planning.state import LATER, SETTLE, WalkState
+from aslip.planning.stones import Stones
 
 # least time until a touchdown, and least freedom in it [s]
 _SOONEST = 0.01
@@ -82,6 +83,10 @@ class Problem:
     """(n,) weight of other t than `before`, 0 for feet that are not in flight [1/s^2]."""
     before: Array
     """(n,) t at which a foot in flight was to land."""
+    on_stones: Array
+    """(n,) bool, whether there are stones."""
+    fast: Array
+    """(n,) largest mean speed of the swing foot [m/s]."""
 
     @cached_property
     def axes(self) -> Array:
@@ -163,12 +168,19 @@ class Program:
         mean[0, 0] = 1
         return mean * (1 - self.sigma * beta) / (self.sigma - 1)
 
-    def problem(self, state: WalkState, command: Array, aim: Array | None = None) -> Problem:
+    def problem(
+        self,
+        state: WalkState,
+        command: Array,
+        stones: Stones | None = None,
+        aim: Array | None = None,
+    ) -> Problem:
         """Programs of n robots.
 
         Args:
             state: state of the robots.
             command: (n, 3) forward speed, sideways speed [m/s] and yaw rate [rad/s].
+            stones: their stones, see `aslip.planning.Planner.plan`.
             aim: see `aslip.planning.Planner.plan`.
         """
         xp, p, limits = namespace(state.since), self.pendulum, self.limits
@@ -200,6 +212,9 @@ class Program:
             left = xp.where(flies, aim[:, 2], nominal)
             change = xp.where(flies, change + self.weights.change_time, change)
             before = xp.expm1(p.rate * (left - nominal)) / p.rate
+        on_stones = xp.zeros_like(state.stance, dtype=bool)
+        if stones is not None:
+            on_stones = on_stones | stones.present.any(1)
         return Problem(
             times=xp.stack([least, nominal, greatest], -1),
             shift=shift,
@@ -220,6 +235,8 @@ class Program:
             ahead=command[:, :2] * p.step_time,
             change=change,
             before=before,
+            on_stones=on_stones,
+            fast=limits.floor_speed + on_stones * (limits.foot_speed - limits.floor_speed),
         )
 
     def periodic(self, command: Array, heading: Array, side: Array) -> tuple[Array, Array]:

@@ -11,6 +11,8 @@ import numpy as np
 
 # DAQP's mark of a constraint that may be violated at a cost
 _SOFT = 8
+# stiffness of a displaced foothold [1/m^2]
+_DRAWN = 1e5
 # cost by which a node must be better [-]
 _TOLERANCE = 1e-9
 
@@ -66,7 +68,7 @@ class Found:
     cost: float
     stones: tuple[int, ...] = ()
     within_limits: bool = True
-    on_stones: bool = True
+    on_stones: int = 0
 
 
 class StoneSearch:
@@ -114,11 +116,30 @@ class StoneSearch:
         if root is None:
             return self._nearest(within_limits=False)
         if self._edges == 0:
-            return Found(root[0], root[1] + self._constant)
+            return Found(root[0], root[1] + self._constant, on_stones=self._steps)
         self._visit((), -1, root, 0.0)
         if not self._best.stones:
             return self._nearest(within_limits=True)
-        return replace(self._best, cost=self._best.cost + self._constant)
+        cost = self._best.cost + self._constant
+        return replace(self._best, cost=cost, on_stones=len(self._best.stones))
+
+    def moved(self, found: Found, shift: np.ndarray) -> Found:
+        """Optimum on the floor with the next foothold moved by (2,), as far as limits allow [m].
+
+        It is the end of the search: its programs ask for that foothold from here on.
+        """
+        hessian, slope = self._hessian, self._slope
+        drawn = np.zeros_like(slope)
+        drawn[1:3] = _DRAWN
+        self._hessian = hessian + np.diag(drawn)
+        self._slope = slope.copy()
+        self._slope[1:3] -= _DRAWN * (found.variables[1:3] + shift)
+        solved = self._solve(0)
+        if solved is None:
+            return found
+        x = solved[0]
+        cost = float(x @ hessian @ x / 2 + slope @ x) + self._constant
+        return replace(found, variables=x, cost=cost)
 
     def cost(self, sequence: Sequence[int]) -> float:
         """Cost of a sequence of stones by index, as given; infinite if impossible."""
@@ -215,4 +236,4 @@ class StoneSearch:
                 best = found
         if best is None:  # of a robot that falls: the foot stays where it is
             best = (np.zeros(len(self._hessian)), np.inf)
-        return Found(best[0], best[1] + self._constant, (), within_limits, False)
+        return Found(best[0], best[1] + self._constant, (), within_limits)

@@ -23,11 +23,6 @@ def mapped(function: Callable[..., Any], value: Any, *others: Any) -> Any:
     return function(value, *others)
 
 
-def merged(mask: Tensor, one: Any, other: Any) -> Any:
-    """Values of all robots from those of the robots in a mask (n,), and those of the rest."""
-    return mapped(partial(_merge, mask), one, other)
-
-
 def chosen(mask: Tensor, one: Any, other: Any) -> Any:
     """Values of one of two alike, by a mask (n,) of robots."""
     return mapped(partial(_choose, mask), one, other)
@@ -40,19 +35,13 @@ def to_double(value: Tensor) -> Tensor:
 
 def to_numpy(value: Tensor) -> np.ndarray:
     """Array in double precision; one of integers stays."""
-    return to_double(value).numpy()
+    return to_double(value).cpu().numpy()
 
 
-def to_single(value: np.ndarray | Tensor) -> Tensor:
+def to_single(device: torch.device, value: np.ndarray | Tensor) -> Tensor:
     """Tensor in single precision; one of integers stays."""
-    tensor = torch.as_tensor(value)
+    tensor = torch.as_tensor(value, device=device)
     return tensor.float() if tensor.is_floating_point() else tensor
-
-
-def _merge(mask: Tensor, one: Tensor, other: Tensor) -> Tensor:
-    whole = one.new_empty((len(mask), *one.shape[1:]))
-    whole[mask], whole[~mask] = one, other
-    return whole
 
 
 def _choose(mask: Tensor, one: Tensor, other: Tensor) -> Tensor:

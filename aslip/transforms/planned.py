@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, cast
 
@@ -25,7 +26,6 @@ from aslip.transforms.estimate import ODOMETRY_SIZES, PATH_SIZES
 from aslip.transforms.nested import (
     chosen,
     mapped,
-    merged,
     to_double,
     to_numpy,
     to_single,
@@ -75,9 +75,9 @@ _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
 _HEIGHT = 0.875
 
 
-def default_planner() -> BatchPlanner:
-    """Planner of all robots at once, of bodies as high as in the shipped library."""
-    return BatchPlanner(Program(Pendulum(height=_HEIGHT)))
+def default_planner() -> Planner:
+    """Exact planner, of bodies as high as in the shipped library."""
+    return Planner(Program(Pendulum(height=_HEIGHT)))
 
 
 def planned_estimator() -> StateEstimator:
@@ -106,8 +106,7 @@ class PlannedReference(SeededTransform):
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
-        planner: a `BatchPlanner`, or a `Planner`, which is exact and slower; by default the former
-            for robots on the floor and the latter for those on stones.
+        planner: a `Planner`, which is exact and the default, or a `BatchPlanner`, for GPUs.
         follow: share of the distance to the estimate by which a plan moves in a policy step.
         command_key: key of the command (n, 3) to plan for.
         stands: whether there are `mode` and `stand`, see `StandClock`.
@@ -133,7 +132,6 @@ class PlannedReference(SeededTransform):
         self.library = library
         self.planner = default_planner() if planner is None else planner
         self._motors = PlanMotors(self.planner.program.pendulum)
-        self._on_stones = Planner(self.planner.program) if planner is None else planner
         slow, fast = follow
         self.follow = (
             check_number("follow", slow, 0.0, fast),
@@ -256,39 +254,25 @@ class PlannedReference(SeededTransform):
         free = kept if footsteps is None else {**kept, "shift": footsteps}
         corners = found.get(("stones", "corners"), None)
         if corners is None:
-            return self._sampled(self.planner, state, command, free)
+            return self._sampled(state, command, free)
         stones = corners - shift[:, None, None], found["stones", "height"]
-        given = {**kept, "stones": stones}
+        if isinstance(self.planner, Planner):
+            return self._sampled(state, command, {**free, "stones": stones})
         there = corners.isfinite().flatten(1).any(1)
-        if isinstance(self._on_stones, Planner):
-            rows = there.nonzero()[:, 0], (~there).nonzero()[:, 0]
-        else:  # for devices on which rows would have to wait
-            rows = (slice(None), slice(None))
-        plans = [
-            self._sampled(planner, *mapped(lambda value: value[those], (state, command, entries)))  # noqa: B023
-            for planner, those, entries in zip(
-                (self._on_stones, self.planner), rows, (given, free), strict=True
-            )
-            if isinstance(those, slice) or len(those)
-        ]
-        if len(plans) == 1:
-            return plans[0]
-        return merged(there, *plans) if isinstance(rows[0], Tensor) else chosen(there, *plans)
+        plans = [self._sampled(state, command, o) for o in ({**kept, "stones": stones}, free)]
+        return chosen(there, *plans)
 
     def _sampled(
-        self,
-        planner: BatchPlanner | Planner,
-        state: WalkState,
-        command: Tensor,
-        given: Mapping[str, Any],
+        self, state: WalkState, command: Tensor, given: Mapping[str, Any]
     ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
         """Plan, and what `_planned` returns."""
         # single precision loses the time of the touchdown, of which costs hardly depend
-        convert = to_numpy if isinstance(planner, Planner) else to_double
+        convert = to_numpy if isinstance(self.planner, Planner) else to_double
+        single = partial(to_single, command.device)
         state, command, given = mapped(convert, (state, command, dict(given)))
         if "stones" in given:
             given = {**given, "stones": Stones.from_corners(*given["stones"])}
-        plan = cast("Any", planner).plan(state, command, **given)
+        plan = cast("Any", self.planner).plan(state, command, **given)
         period, num = CASSIE.policy_period, len(command)
         times = (0.0, period, period - NEAR, period + NEAR)
         zero = 0 * command[:, 0]
@@ -305,7 +289,7 @@ class PlannedReference(SeededTransform):
             "on_stones": plan.on_stones[:, None] + 0 * plan.time[:, :1],
             "filtered_command": plan.command,
         }
-        return mapped(to_single, (now, later, tuple(around), written))
+        return mapped(single, (now, later, tuple(around), written))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and target, and the plan."""

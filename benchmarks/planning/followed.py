@@ -117,8 +117,8 @@ def followed(
 
 def main(config: Config) -> None:
     """Follow plans over all courses, and print the table."""
-    program, rows = default_planner().program, []
-    planners = {"exact": Planner(program), "batched": BatchPlanner(program)}
+    exact, rows = default_planner(), []
+    planners = {"exact": exact, "batched": BatchPlanner(exact.program)}
     for name, planner in planners.items():
         for size in config.sizes:
             for difficulty in config.difficulties:

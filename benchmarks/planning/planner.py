@@ -111,7 +111,7 @@ def random_polygon(rng: np.random.Generator, place: np.ndarray) -> np.ndarray:
 
 def search(planner: Planner, case: Case) -> StoneSearch:
     """Search of a case."""
-    problem = planner.program.problem(case.state, case.command)
+    problem = planner.program.problem(case.state, case.command, case.stones)
     return planner.searches(problem, case.stones)[0]
 
 

@@ -90,7 +90,7 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("planner", [default_planner(), Planner()], ids=["batch", "exact"])
+@pytest.mark.parametrize("planner", [BatchPlanner(), default_planner()], ids=["batch", "exact"])
 def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     planner: BatchPlanner | Planner,
 ) -> None:

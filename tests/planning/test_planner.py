@@ -97,13 +97,13 @@ def test_where_no_stone_is_in_reach_the_step_comes_near_and_the_plan_says_so():
 def test_beyond_all_limits_and_without_stones_there_is_a_plan_that_says_so():
     case = _cases(1)[0]
     gone = replace(case.stones, present=np.zeros((1, 4), dtype=bool))
-    for stones in (None, case.stones, gone):
+    for stones in (None, case.stones, gone):  # without stones, robots are on the floor
         pushed = replace(case.state, body_velocity=np.array([[9.0, 0.0, 0.0]]))
         plan = PLANNER.plan(pushed, case.command, stones)
         assert not plan.within_limits[0]
         assert np.isfinite(plan.foothold).all()
     plan = PLANNER.plan(case.state, case.command, gone)
-    assert plan.within_limits[0] and plan.on_stones[0] == 0
+    assert plan.within_limits[0] and plan.on_stones[0] == 4
     with pytest.raises(SolverError, match=r"must be finite, those of robots \[0\] are not"):
         PLANNER.plan(replace(case.state, body_velocity=np.full((1, 3), np.nan)), case.command)
 
@@ -134,6 +134,31 @@ def test_several_robots_are_planned_as_each_alone():
     np.testing.assert_allclose(
         at.body.position[1], alone.sample(np.array([0.2])).body.position[0], atol=1e-9
     )
+
+
+def test_a_robot_without_stones_plans_as_on_the_floor_beside_others_on_stones():
+    cases = _cases(2)
+    state = WalkState.from_rows(np.concatenate([case.state.to_rows() for case in cases]))
+    command = np.concatenate([case.command for case in cases])
+    given = {name: np.concatenate([value] * 2) for name, value in vars(cases[0].stones).items()}
+    given["present"][1] = False
+    plan = PLANNER.plan(state, command, Stones(**given))
+    for i, stones in enumerate((cases[0].stones, None)):
+        alone = PLANNER.plan(cases[i].state, cases[i].command, stones)
+        np.testing.assert_allclose(plan.foothold[i], alone.foothold[0], atol=1e-9)
+        np.testing.assert_allclose(plan.time[i], alone.time[0], atol=1e-9)
+        np.testing.assert_allclose(plan.pressure[i], alone.pressure[0], atol=1e-9)
+
+
+def test_a_foothold_on_the_floor_is_displaced_as_far_as_the_limits_allow():
+    state, command = standing(PLANNER.program, 0), np.array([[0.3, 0.0, 0.0]])
+    free = PLANNER.plan(state, command).foothold[0, 0, :2]
+    # the right foot comes no nearer to the left one than the limit
+    near = np.array([free[0], -LIMITS.width[0]])
+    shift = np.array([0.1, -0.05])
+    for moved, expected in ((shift, free + shift), (np.array([0.0, 0.5]), near)):
+        plan = PLANNER.plan(state, command, shift=moved[None])
+        np.testing.assert_allclose(plan.foothold[0, 0, :2], expected, atol=1e-3)
 
 
 def test_the_batched_form_is_optimal_without_stones_and_near_it_with_them():

@@ -5,7 +5,7 @@ import torch
 
 import aslip
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.planning import BatchPlanner, Pendulum, Planner
+from aslip.planning import BatchPlanner, Pendulum
 from aslip.policy import load_policy
 from aslip.sim.course import random_stones, stairs
 from aslip.transforms.plan_state import footholds_in_world
@@ -32,9 +32,9 @@ def test_models_are_exact_on_steps_of_a_pendulum():
 
 def test_plans_alone_cross_stones_unless_noise_throws_them_off():
     stones = random_stones(np.random.default_rng(0), 2, count=4, difficulty=0.0)
-    config, program = followed.Config(seconds=6.0), default_planner().program
-    assert followed.followed(Planner(program), stones, 0.0, config).all()
-    planned = BatchPlanner(program)  # greedy, so that it is lost on some courses
+    config, exact = followed.Config(seconds=6.0), default_planner()
+    assert followed.followed(exact, stones, 0.0, config).all()
+    planned = BatchPlanner(exact.program)  # greedy, so that it is lost on some courses
     assert followed.followed(planned, stones, 0.0, config).any()
     assert not followed.followed(planned, stones, 0.1, config).any()
 
