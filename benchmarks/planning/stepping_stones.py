@@ -10,7 +10,7 @@ robot falls, or a loaded foot is deeper than a stone's top. Stacks with a planne
 In the row of vanishing stones, these are close together, and the one to which a foot in flight goes
 is taken away at once. It counts how many walk on, or stand, without leaving the others.
 
-Touchdowns are compared with the last plan before them: distance of the foot's centre from the
+Touchdowns are compared with the last plan of that foot before them: distance of its centre from the
 foothold, and time. The simulator gives contacts for whole policy steps, so the time within a step
 is that in which the foot falls to the stone at its last speed.
 """
@@ -82,7 +82,7 @@ from aslip.sim.course import (
     stone_distances,
 )
 from aslip.transforms import RandomCourse, SeenStones
-from aslip.transforms.plan_state import footholds_in_world
+from aslip.transforms.plan_state import footholds_in_world, landing_foot
 from aslip.transforms.stones import COURSE_KEY
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
@@ -90,8 +90,8 @@ from benchmarks.common import Policies, Report, Subject, benchmark, table
 
 # a loaded foot this far below the stones has left them [m]
 _DEEP = 0.05
-# load of a foot that has landed [N]
-_LANDED = 50.0
+# load of a foot that has landed [N], and policy steps by which it may be late
+_LANDED, _LATEST = 50.0, 6
 # row of stones that vanish, and their distance in the direction of the walk [m]
 _VANISHING, _CLOSE = "vanishing", 0.22
 # the first that may vanish, time until the touchdown then, and that of the walk after it [s]
@@ -231,7 +231,9 @@ def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dic
     below = [ground_height(stones, feet[:, [i, i], :2], load)[:, 0] for i in range(2)]
     height = feet[..., 2] - np.stack(below, axis=1)
     turn, plan = yaw(truth["pelvis_orientation"]), np.full((len(load), 3), np.nan)
+    foot = np.zeros(len(load), dtype=int)
     if "plan" in td.keys():  # noqa: SIM118
+        foot = landing_foot(td).cpu().numpy()
         plan[:, :2] = footholds_in_world(td)[:, 0, :2].cpu().numpy()
         plan[:, 2] = td["plan", "time"][:, 0].double().cpu().numpy()
     return {
@@ -243,6 +245,7 @@ def frame_of(td: TensorDictBase, stones: np.ndarray, walking: np.ndarray) -> dic
         "load": load,
         "left": np.any((load > 0) & (height < -_DEEP), axis=1),
         "plan": plan,
+        "foot": foot,
         "walking": walking,
     }
 
@@ -260,8 +263,13 @@ def touchdowns(seen: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     fall = np.maximum(height[at, robot, foot], 0.0)
     fall = fall / np.maximum(seen["sinking"][at, robot, foot], 1e-3)
     time = np.minimum(fall, CASSIE.policy_period)
-    planned = plan[at, robot]
+    # a foot that lands late does so when the plan is already about the other one
+    last = at.copy()
+    for _ in range(_LATEST):
+        last -= (seen["foot"][last, robot] != foot) & (last > 0)
+    planned = np.where((seen["foot"][last, robot] == foot)[:, None], plan[last, robot], np.nan)
     distance = np.linalg.norm(seen["feet"][at + 1, robot, foot] - planned[:, :2], axis=-1)
+    time = time + (at - last) * CASSIE.policy_period
     return {"distance": distance, "late": time - planned[:, 2]}
 
 

@@ -87,11 +87,18 @@ def test_touchdowns_are_compared_with_the_plan_before_them():
         "height": np.full((5, 1, 2), 0.01),
         "sinking": np.full((5, 1, 2), 0.5),
         "plan": plan,
+        "foot": np.zeros((5, 1), dtype=int),
         "walking": np.ones((5, 1), dtype=bool),
     }
     found = stepping_stones.touchdowns(seen)
     np.testing.assert_allclose(found["distance"], [0.03])
     np.testing.assert_allclose(found["late"], [-0.004])
+    # a policy step later, when the next plan is of the right foot
+    seen["foot"][1:] = 1
+    plan[:2] = [[[0.5, 0.1, 0.024]], [[0.9, -0.1, 0.4]]]
+    found = stepping_stones.touchdowns(seen)
+    np.testing.assert_allclose(found["distance"], [0.03])
+    np.testing.assert_allclose(found["late"], [0.026])
     seen["walking"][3:] = False
     assert len(stepping_stones.touchdowns(seen)["distance"]) == 0
 
