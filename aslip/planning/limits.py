@@ -45,7 +45,8 @@ class Limits:
     """Mean speed of the swing foot from lift-off until it is above its foothold, and from now until
     the touchdown, both relative to the body [m/s]."""
     floor_speed: float = 3.5
-    """The same on the floor, where a foot may land short of its foothold [m/s]."""
+    """Speed in the place of `foot_speed` on the floor, where feet may land short of their footholds
+    [m/s]."""
     descent: float = 2.0
     """Mean speed at which it comes down [m/s]."""
     rise: float = 0.2

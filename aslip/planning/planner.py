@@ -90,7 +90,9 @@ class Planner:
             steps=variables[:, 1:-1].reshape(len(found), -1, 2),
             stones=stones,
             chosen=chosen,
-            on_stones=np.array([one.on_stones for one in found]),
+            on_stones=np.where(
+                problem.on_stones, [len(one.stones) for one in found], self.program.steps
+            ),
             within_limits=np.array([one.within_limits for one in found]),
             cost=np.array([one.cost for one in found]),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -68,7 +69,6 @@ class Found:
     cost: float
     stones: tuple[int, ...] = ()
     within_limits: bool = True
-    on_stones: int = 0
 
 
 class StoneSearch:
@@ -116,29 +116,24 @@ class StoneSearch:
         if root is None:
             return self._nearest(within_limits=False)
         if self._edges == 0:
-            return Found(root[0], root[1] + self._constant, on_stones=self._steps)
+            return Found(root[0], root[1] + self._constant)
         self._visit((), -1, root, 0.0)
         if not self._best.stones:
             return self._nearest(within_limits=True)
-        cost = self._best.cost + self._constant
-        return replace(self._best, cost=cost, on_stones=len(self._best.stones))
+        return replace(self._best, cost=self._best.cost + self._constant)
 
     def moved(self, found: Found, shift: np.ndarray) -> Found:
-        """Optimum on the floor with the next foothold moved by (2,), as far as limits allow [m].
-
-        It is the end of the search: its programs ask for that foothold from here on.
-        """
-        hessian, slope = self._hessian, self._slope
-        drawn = np.zeros_like(slope)
-        drawn[1:3] = _DRAWN
-        self._hessian = hessian + np.diag(drawn)
-        self._slope = slope.copy()
-        self._slope[1:3] -= _DRAWN * (found.variables[1:3] + shift)
-        solved = self._solve(0)
+        """Optimum on the floor with the next foothold moved by (2,), as far as limits allow [m]."""
+        drawn, stiffness = copy(self), np.zeros_like(self._slope)
+        stiffness[1:3] = _DRAWN
+        drawn._hessian = self._hessian + np.diag(stiffness)
+        drawn._slope = self._slope.copy()
+        drawn._slope[1:3] -= _DRAWN * (found.variables[1:3] + shift)
+        solved = drawn._solve(0)
         if solved is None:
             return found
         x = solved[0]
-        cost = float(x @ hessian @ x / 2 + slope @ x) + self._constant
+        cost = float(x @ self._hessian @ x / 2 + self._slope @ x) + self._constant
         return replace(found, variables=x, cost=cost)
 
     def cost(self, sequence: Sequence[int]) -> float:

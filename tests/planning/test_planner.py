@@ -150,6 +150,15 @@ def test_a_robot_without_stones_plans_as_on_the_floor_beside_others_on_stones():
         np.testing.assert_allclose(plan.pressure[i], alone.pressure[0], atol=1e-9)
 
 
+def test_swing_feet_have_a_limit_of_speed_of_their_own_on_the_floor():
+    slow = Planner(Program(limits=Limits(floor_speed=1.5)))
+    for case in _cases(3)[1:]:  # walks at 0.9 and 1 m/s
+        plan, late = (planner.plan(case.state, case.command) for planner in (PLANNER, slow))
+        assert late.time[0, 0] > plan.time[0, 0] + 0.04
+        given = (case.state, case.command, case.stones)
+        np.testing.assert_array_equal(slow.plan(*given).time, PLANNER.plan(*given).time)
+
+
 def test_a_foothold_on_the_floor_is_displaced_as_far_as_the_limits_allow():
     state, command = standing(PLANNER.program, 0), np.array([[0.3, 0.0, 0.0]])
     free = PLANNER.plan(state, command).foothold[0, 0, :2]
