@@ -47,6 +47,8 @@ _PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
 # middles of stones ahead that a command aims at, its largest sideways share of the speed, and its
 # largest yaw rate [rad/s]
 _AHEAD, _SIDEWAYS, _TURN = 2, 0.3, 0.4
+# distance from the centre of the last stone at which robots slow down [m]
+_NEAR = 0.4
 # load with which each foot counts without load [N]
 _LEAST_LOAD = 1.0
 # stones that touch may overlap by rounding errors [m]
@@ -195,20 +197,30 @@ def stone_distances(stones: Array, points: Array) -> Array:
 def along_course(course: Array, pelvis: Array, turn: Array, speed: Array) -> Array:
     """Command (n, 3) along the middle of courses: forward, sideways [m/s], yaw rate [rad/s].
 
+    It ends at the centre of the last stone, where it is zero.
+
     Args:
         course: (n, s, 6) stones, NaN where is none.
         pelvis: (n, 2) place of the pelvis [m].
         turn: (n, 1) its yaw [rad].
         speed: (n, 1) forward speed [m/s].
     """
-    xp = namespace(course)
-    middle = (course[:, 1:, :2] + course[:, :-1, :2]) / 2
+    xp, place = namespace(course), course[..., :2]
+    rows = xp.arange(len(course), device=course.device)
+    middle = (place[:, 1:] + place[:, :-1]) / 2
     distance = xp.nan_to_num(((middle - pelvis[:, None]) ** 2).sum(-1), nan=xp.inf)
-    last = xp.isfinite(middle[..., 0]).sum(1) - 1
-    nearest = (distance.argmin(1) + _AHEAD).clip(None, last.clip(0))
-    ahead = middle[xp.arange(len(course), device=course.device), nearest] - pelvis
+    last = (xp.isfinite(place[..., 0]).sum(1) - 1).clip(0)
+    nearest = distance.argmin(1) + _AHEAD
+    ends = (nearest >= last)[:, None]
+    goal = xp.where(ends, place[rows, last], middle[rows, nearest.clip(None, last - 1)])
+    ahead = goal - pelvis
     angle = xp.arctan2(ahead[:, 1:], ahead[:, :1]) - turn
     angle = xp.arctan2(xp.sin(angle), xp.cos(angle))
+    left = (ahead**2).sum(-1)[:, None] ** 0.5
+    # from beyond, it steps back instead of turning round
+    arrives = ends & (left < _NEAR)
+    speed = xp.where(arrives, speed * xp.cos(angle) * left / _NEAR, speed)
+    angle = xp.where(arrives, 0.0 * angle, angle)
     sideways = xp.sin(angle).clip(-_SIDEWAYS, _SIDEWAYS)
     command = [speed, speed * sideways, angle.clip(-_TURN, _TURN)]
     return xp.nan_to_num(xp.concatenate(command, -1))

@@ -14,6 +14,7 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError, Shape
 from aslip.sim.course import (
     PATTERNS,
     Course,
+    along_course,
     ground_height,
     pattern,
     random_course,
@@ -60,6 +61,20 @@ def test_stairs_touch_and_rise() -> None:
     np.testing.assert_allclose(np.diff(stones[:, 2]), -0.15)
     ends = stones[:, 0] + 0.5 * stones[:, 4] * np.array([[-1], [1]])
     np.testing.assert_allclose(ends[0, 1:], ends[1, :-1])
+
+
+def test_commands_end_at_the_centre_of_the_last_stone() -> None:
+    """Robots slow down there, and step back from beyond instead of turning round."""
+    stones = pattern("straight").stones
+    end = stones[-1, 0]
+    courses = np.repeat(stones[None], 4, 0)
+    courses[3] = np.nan
+    pelvis = np.array([[0.0, 0.0], [end, 0.0], [end + 0.1, 0.0], [end, 0.0]])
+    still, speed = np.zeros((4, 1)), np.full((4, 1), 0.5)
+    for as_own in (np.asarray, torch.as_tensor):
+        command = along_course(*map(as_own, (courses, pelvis, still, speed)))
+        np.testing.assert_allclose(command[:, 0], [0.5, 0.0, -0.125, 0.5], atol=1e-12)
+        np.testing.assert_allclose(command[1:, 1:], 0.0, atol=1e-12)
 
 
 def _course(*stones: Any, polygons: dict[int, Any] | None = None) -> Course:
