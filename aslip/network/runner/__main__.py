@@ -134,6 +134,12 @@ def make_source(config: Config) -> Source:
     given = [n for n in ("command", "schedule", "listen") if getattr(config, n) is not None]
     if len(given) > 1:
         raise ConfigurationError(f"give one of --command, --schedule and --listen, got {given}")
+    if not config.duration > 0:
+        raise ConfigurationError(f"duration must be positive, got {config.duration}")
+    if given in ([], ["listen"]) and config.duration < math.inf:
+        raise ConfigurationError(
+            f"--duration needs --command or --schedule, got {config.duration:g} without one"
+        )
     if config.listen is not None:
         source = Datagrams(config.listen, say)
         say(f"commands as JSON at 127.0.0.1:{source.port}")
@@ -143,8 +149,6 @@ def make_source(config: Config) -> Source:
         say("\n".join(f"{key:6} {meaning}" for key, meaning in KEYS.items()))
         return source
     text = config.schedule if config.command is None else config.command
-    if not config.duration > 0:
-        raise ConfigurationError(f"duration must be positive, got {config.duration}")
     return Scheduled(Schedule.parse(str(text)), config.duration)
 
 

@@ -47,6 +47,8 @@ def test_mistakes_are_one_line_before_the_policy_is_loaded() -> None:
         make_source(Config(command="1", listen=0))
     with pytest.raises(ConfigurationError, match="duration must be positive"):
         make_source(Config(command="1", duration=-1.0))
+    with pytest.raises(ConfigurationError, match=r"--duration needs --command or --schedule"):
+        make_source(Config(listen=0, duration=5.0))
     in_use = pytest.raises(NetworkError, match=r"another program listens at 127.0.0.1:\d+")
     with Datagrams(0) as first, in_use:
         main(Config(command="1", local_port=first.port))
