@@ -207,13 +207,12 @@ def along_course(course: Array, pelvis: Array, turn: Array, speed: Array) -> Arr
     """
     xp, place = namespace(course), course[..., :2]
     rows = xp.arange(len(course), device=course.device)
-    middle = (place[:, 1:] + place[:, :-1]) / 2
-    distance = xp.nan_to_num(((middle - pelvis[:, None]) ** 2).sum(-1), nan=xp.inf)
     last = (xp.isfinite(place[..., 0]).sum(1) - 1).clip(0)
-    nearest = distance.argmin(1) + _AHEAD
-    ends = (nearest >= last)[:, None]
-    goal = xp.where(ends, place[rows, last], middle[rows, nearest.clip(None, last - 1)])
-    ahead = goal - pelvis
+    goals = xp.concatenate([(place[:, 1:] + place[:, :-1]) / 2, place[:, -1:]], 1)
+    goals[rows, last] = place[rows, last]
+    distance = xp.nan_to_num(((goals - pelvis[:, None]) ** 2).sum(-1), nan=xp.inf)
+    goal = (distance.argmin(1) + _AHEAD).clip(None, last)
+    ends, ahead = (goal == last)[:, None], goals[rows, goal] - pelvis
     angle = xp.arctan2(ahead[:, 1:], ahead[:, :1]) - turn
     angle = xp.arctan2(xp.sin(angle), xp.cos(angle))
     left = (ahead**2).sum(-1)[:, None] ** 0.5

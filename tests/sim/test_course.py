@@ -75,6 +75,9 @@ def test_commands_end_at_the_centre_of_the_last_stone() -> None:
         command = along_course(*map(as_own, (courses, pelvis, still, speed)))
         np.testing.assert_allclose(command[:, 0], [0.5, 0.0, -0.125, 0.5], atol=1e-12)
         np.testing.assert_allclose(command[1:, 1:], 0.0, atol=1e-12)
+        # one stone alone is a course, too
+        alone = along_course(*map(as_own, (courses[:1, -1:], pelvis[1:2], still[:1], speed[:1])))
+        np.testing.assert_allclose(alone, 0.0, atol=1e-12)
 
 
 def _course(*stones: Any, polygons: dict[int, Any] | None = None) -> Course:
