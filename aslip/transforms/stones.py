@@ -125,7 +125,7 @@ class RandomCourse(ChosenAtReset):
 
 
 class CourseCommand(VelocityCommand):
-    """Draw commands, and lead robots with stones along the middle of their course.
+    """Draw commands, and lead robots with stones along the middle of their course to its end.
 
     The forward speed of these is that of the draw, moved to a range; sideways speed and yaw rate
     aim at the stones ahead. The other robots have the commands of `VelocityCommand`.

@@ -136,7 +136,8 @@ def make_source(config: Config) -> Source:
         raise ConfigurationError(f"give one of --command, --schedule and --listen, got {given}")
     if not config.duration > 0:
         raise ConfigurationError(f"duration must be positive, got {config.duration}")
-    if given in ([], ["listen"]) and config.duration < math.inf:
+    text = config.schedule if config.command is None else config.command
+    if text is None and config.duration < math.inf:
         raise ConfigurationError(
             f"--duration needs --command or --schedule, got {config.duration:g} without one"
         )
@@ -144,12 +145,11 @@ def make_source(config: Config) -> Source:
         source = Datagrams(config.listen, say)
         say(f"commands as JSON at 127.0.0.1:{source.port}")
         return source
-    if not given:
+    if text is None:
         source = Keyboard()
         say("\n".join(f"{key:6} {meaning}" for key, meaning in KEYS.items()))
         return source
-    text = config.schedule if config.command is None else config.command
-    return Scheduled(Schedule.parse(str(text)), config.duration)
+    return Scheduled(Schedule.parse(text), config.duration)
 
 
 def make_limits(config: Config) -> Limits:
