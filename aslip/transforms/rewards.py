@@ -63,20 +63,20 @@ are new."""
 
 PLANNED_WEIGHTS: Final = MappingProxyType(
     {
-        "velocity_diff": 0.14,
+        "velocity_diff": 0.12,
         "foot_pos": 0.02,
         "path_diff": 0.04,
         "heading_diff": 0.06,
         "level": 0.07,
         "foot_orient": 0.04,
-        "action_diff": 0.04,
-        "power": 0.04,
-        "landing": 0.04,
+        "action_diff": 0.02,
+        "power": 0.02,
+        "landing": 0.03,
         "squeeze": 0.02,
-        "feet_apart": 0.10,
-        "footstep": 0.20,
+        "feet_apart": 0.14,
+        "footstep": 0.26,
         "touchdown": 0.12,
-        "speed_diff": 0.07,
+        "speed_diff": 0.04,
     }
 )
 """Weights of the reward for walks of a planner; they sum to one."""
@@ -295,20 +295,21 @@ def feet_apart(
     right_reference: Tensor,
     scale: float = 0.04,
 ) -> Tensor:
-    r""":math:`\exp(-\|(l - r) - (\hat l - \hat r)\| / s)`, one foot relative to the other.
+    r""":math:`f(\|(l - r) - (\hat l - \hat r)\|)`, one foot relative to the other.
 
-    The foot in stance is where it is, so that this is the distance of the swing foot from its
-    planned place, whatever the body does. Ours, for footholds that must be hit.
+    The function f is that of `footstep`. The foot in stance is where it is, so that this is the
+    distance of the swing foot from its planned place, whatever the body does. Ours, for footholds
+    that must be hit.
 
     Args:
         left_foot_position: (*b, 3) [m, world].
         right_foot_position: (*b, 3) [m, world].
         left_reference: (*b, 3) left foot minus body [m, same axes].
         right_reference: (*b, 3) right foot minus body [m, same axes].
-        scale: distance s at which the term is 1/e [m].
+        scale: distance s [m].
     """
     apart = left_foot_position - right_foot_position
-    return torch.exp(-_norm(apart - left_reference + right_reference) / scale)
+    return _near(_norm(apart - left_reference + right_reference), scale)
 
 
 def footstep(
@@ -319,10 +320,13 @@ def footstep(
     mode: Tensor,
     scale: float = 0.03,
 ) -> Tensor:
-    r""":math:`\exp(-d / s)`, d the distance of the foot in stance from its foothold.
+    r""":math:`f(d)`, d the distance of the foot in stance from its foothold.
 
-    The distance is along the ground. It is 1 in policy steps in which the plan puts a foot down,
-    and for robots that do not walk.
+    .. math:: f(d) = (e^{-d / s} + \max(0, 1 - d / 5 s)) / 2
+
+    The exponential alone is flat where feet land far off, as they do at first from long reaches.
+    The distance is along the ground. The term is 1 in policy steps in which the plan puts a foot
+    down, and for robots that do not walk.
 
     Args:
         left_foot_position: (*b, 3) [m].
@@ -330,13 +334,18 @@ def footstep(
         last_foothold: (*b, 3) where the foot in stance was to land [m, same frame].
         state: (*b, 31) state of the plan, see `aslip.planning.WalkState.to_rows`.
         mode: (*b, 1) `aslip.library.WalkMode`.
-        scale: distance s at which the term is 1/e [m].
+        scale: distance s [m].
     """
     right = state[..., -2:-1] > 0
     stood = torch.where(right, right_foot_position, left_foot_position)
-    found = torch.exp(-_norm((stood - last_foothold)[..., :2]) / scale)
+    found = _near(_norm((stood - last_foothold)[..., :2]), scale)
     counts = (state[..., -1:] > CASSIE.policy_period) & (mode == WalkMode.WALK)
     return torch.where(counts, found, 1.0)
+
+
+def _near(distance: Tensor, scale: float) -> Tensor:
+    """Term f of `footstep`."""
+    return (torch.exp(-distance / scale) + (1 - distance / (5 * scale)).clamp(min=0.0)) / 2
 
 
 def touchdown(

@@ -193,7 +193,6 @@ def test_scales_of_terms_are_arguments() -> None:
     cases: list[tuple[Any, float, list[torch.Tensor]]] = [
         (rewards.power, 0.4, [torch.full((1, 10), 20.0), torch.zeros(1, 3)]),
         (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
-        (rewards.feet_apart, 0.04, [one + 0.03, one, one, one]),
         (rewards.speed_diff, 0.3, [one, 1.2 * one]),
         (rewards.velocity_diff, 0.1, [orientation, one, 1.05 * one, one[:, :1] * 0]),
         (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
@@ -307,7 +306,16 @@ def test_footstep_is_the_way_along_the_ground_from_where_the_foot_in_stance_shou
             state = torch.zeros(1, WalkState.SIZE)
             state[0, -2:] = torch.tensor([stance, since])
             found = rewards.footstep(feet[0], feet[1], aim, state, torch.tensor([[float(mode)]]))
-            assert found.item() == pytest.approx(math.exp(-away / 0.03), abs=1e-5)
+            expected = (math.exp(-away / 0.03) + 1 - away / 0.15) / 2
+            assert found.item() == pytest.approx(expected, abs=1e-5)
+
+
+def test_feet_are_compared_with_each_other_and_far_ones_count_nothing() -> None:
+    one = torch.ones(1, 3)
+    for away, expected in ((0.0, 1.0), (0.04, (math.exp(-1) + 0.8) / 2), (0.4, math.exp(-10) / 2)):
+        left = one + torch.tensor([0.0, 0.6, 0.8]) * away
+        found = rewards.feet_apart(left + 3.0, one + 3.0, one, one)
+        assert found.item() == pytest.approx(expected, abs=1e-5)
 
 
 def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
