@@ -131,7 +131,7 @@ def main(
 
     results: list[WalkResult] = []
     with training_loop(run, parts, config, write_policy) as training:
-        if normalizer.count == 0:  # the first batch only initialises the normaliser
+        if not normalizer.count.any():  # the first batch only initialises the normaliser
             update_normalizers([actor, critic], next(training))
         for data in training:
             advantage(data)
@@ -191,13 +191,21 @@ def make_networks(
 def start_from(policy: str, actor: ProbabilisticActor, env: StackEnv) -> None:
     """Give an actor the weights and statistics of a policy with the same observation.
 
+    Of a policy that observes less, whose observation is the beginning of the environment's, the
+    action stays the same until the actor has learned: weights of the other inputs are zero.
+
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
         ConfigurationError: the policy does not fit the environment, or has another network.
     """
-    check_policy_fits(policy, env)
+    check_policy_fits(policy, env, begins=True)
+    weights, own = load_policy(policy).state_dict(), actor.state_dict()
+    size = env.observation_spec["observation"].shape[-1]
+    for name, value in weights.items():
+        if value.ndim and own.get(name, value).shape[-1:] == (size,) != value.shape[-1:]:
+            weights[name] = torch.nn.functional.pad(value, (0, size - value.shape[-1]))
     try:
-        actor.load_state_dict(load_policy(policy).state_dict())
+        actor.load_state_dict(weights)
     except RuntimeError as error:
         raise ConfigurationError(f"the policy {policy!r} has another network: {error}") from None
 

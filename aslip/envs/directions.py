@@ -38,7 +38,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.observation import planned_table
+from aslip.transforms.observation import PLANNED_TABLE
 from aslip.transforms.planned import planned_estimator
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PLANNED_WEIGHTS
 from aslip.transforms.standing import required_transitions
@@ -143,8 +143,9 @@ def planned_stack(
     """Stack of `directions_stack` in which a planner decides where and when the feet land.
 
     Its `PlannedReference` comes after the estimator, and it has a reward for feet at their planned
-    places. Policies observe the command that the plan amounts to instead of the one given, which
-    stones may not allow. Robots that stop, stand and start follow the library.
+    places. Policies observe where and when the next foot lands, and the command that the plan
+    amounts to instead of the one given, which stones may not allow. Robots that stop, stand and
+    start follow the library.
 
     Args:
         library: gait library over three commands, with stop and start; the shipped one by default.
@@ -193,8 +194,10 @@ def planned_stack(
     }
     stack = insert_before(stack, "reward", **terms_of(reads))
     del stack["com_vel"]
-    seen = AssembleObservation(planned_table(DIRECTION_TABLE))
-    return stack | {"observation": seen, "reward": WeightedReward(PLANNED_WEIGHTS)}
+    return stack | {
+        "observation": AssembleObservation(PLANNED_TABLE),
+        "reward": WeightedReward(PLANNED_WEIGHTS),
+    }
 
 
 def course_stack(

@@ -29,7 +29,7 @@ from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, m
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from aslip.transforms.command import checked_rates
-from aslip.transforms.observation import planned_table
+from aslip.transforms.observation import PLANNED_TABLE
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
 """Function from normaliser, shape and observation keys to an actor."""
@@ -52,7 +52,7 @@ _TABLES = (
     OBSERVATION_TABLE,
     SINGLE_REFERENCE_TABLE,
     DIRECTION_TABLE,
-    planned_table(DIRECTION_TABLE),
+    PLANNED_TABLE,
 )
 
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}

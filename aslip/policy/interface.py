@@ -104,13 +104,16 @@ def plans(env: StackEnv) -> bool:
 
 
 @on_cpu_in_single
-def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
+def check_policy_fits(
+    policy: str | Path | nn.Module, env: StackEnv, *, begins: bool = False
+) -> None:
     """Check that an environment has the observation and action that a policy was trained with.
 
     Args:
         policy: name or path, as `aslip.load_policy` takes it. Of a module, only the size of the
             observation is checked, and only if `load_policy` made it.
         env: environment.
+        begins: whether the policy's observation may be but the beginning of the environment's.
 
     Raises:
         AssetError: the policy does not exist.
@@ -122,7 +125,7 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
     card = {**read_card(policy), "name": str(policy)} if named else getattr(policy, "card", None)
     if card is None:
         return
-    if why := _misfit(card, env, only_size=not named):
+    if why := _misfit(card, env, only_size=not named, begins=begins):
         raise ConfigurationError(
             f"the policy {card['name']!r} does not fit the environment: {why}; it was trained on"
             f" the stack {card['stack']!r}, and the environment has the stack {stack_name(env)!r}"
@@ -131,16 +134,18 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
         check_policy_library(card["name"], card, library)
 
 
-def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
+def _misfit(card: Mapping[str, Any], env: StackEnv, *, only_size: bool, begins: bool) -> str:
     """First difference between an environment and that of a policy's card; empty for none."""
     shown = entry_names(observation_keys(env))
     if plans(env):
         # policies that have never seen a plan follow its command as they do their own
         card = {**card, "observation": entry_names(planned_table(card["observation"]))}
+    if begins:
+        shown = shown[: len(card["observation"])]
     if not only_size and card["observation"] != shown:
         return observation_difference(card["observation"], shown)
     has, size = card["shape"].observation_size, env.observation_spec["observation"].shape[-1]
-    if has != size:
+    if has != size and not begins:
         return f"its observation has {has} numbers, the environment's has {size}"
     if only_size:
         return ""

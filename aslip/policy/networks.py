@@ -113,7 +113,8 @@ class RunningNormalizer(nn.Module):
         self.key = key
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
-        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        # of each input: those added to a trained policy begin at zero
+        self.register_buffer("count", torch.zeros(size, dtype=torch.float64))
         # derived from the statistics, so not stored in files
         self.register_buffer("_offset", torch.zeros(size), persistent=False)
         self.register_buffer("_scale", torch.ones(size), persistent=False)
@@ -141,6 +142,9 @@ class RunningNormalizer(nn.Module):
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         """Load the statistics, and derive offset and scale from them."""
+        state, name = args[0], f"{args[1]}count"
+        if name in state:  # files of earlier versions have one for all inputs
+            state[name] = state[name].expand_as(state[f"{args[1]}mean"])
         super()._load_from_state_dict(*args, **kwargs)
         self._refresh()
 

@@ -45,6 +45,7 @@ _SIGNS = {
     "command": (1.0,),
     "filtered_command": (1.0, -1.0, -1.0),
     "path_error": (1.0, -1.0),
+    "step": (*_VECTOR, 1.0, -1.0),
     "direction": (1.0, -1.0),
     # mirroring shifts the phase by half a stride, which flips the signs of sine and cosine
     "sin": (-1.0,),

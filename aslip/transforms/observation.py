@@ -52,12 +52,17 @@ action [rad], with which the policy can tell how strongly the motors pull."""
 
 
 def planned_table(keys: Sequence[NestedKey]) -> tuple[NestedKey, ...]:
-    """Keys of an observation of robots that follow plans.
+    """Keys of an observation of robots that follow plans with a policy that has never seen one.
 
     The command that a plan amounts to is in the place of the filtered one, which stones may not
     allow.
     """
     return tuple(("plan", key) if key == "filtered_command" else key for key in keys)
+
+
+PLANNED_TABLE: Final[tuple[NestedKey, ...]] = (*planned_table(DIRECTION_TABLE), ("plan", "step"))
+"""Keys of the 87 numbers of policies that learn to follow plans: those of `planned_table`, and
+where and when the next foot lands."""
 
 
 class AssembleObservation(SeededTransform):

@@ -49,16 +49,19 @@ PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
         "foothold": 3,
         "last_foothold": 3,
         "time": 1,
+        "step": 5,
         "on_stones": 1,
         "filtered_command": 3,
     }
 )
 """Entries of `("plan", ...)`, in the frame of the odometry: the state in a policy step, by the
 columns of `WalkState.to_rows`; the next foothold [m]; that of the foot in stance, from the last
-plan before it landed [m]; the time until the next touchdown [s]; the number of first footholds that
-stones allow, see `Plan.on_stones`; and the command that the plan amounts to, see `Plan.command`, or
-of robots that do not walk the command given. For plans of N steps there are `later_footholds` (N -
-1, 3), too [m]."""
+plan before it landed [m]; the time until the next touchdown [s]; what policies observe of both, the
+next foothold from the body, above the foot in stance [m], the time until then [s] and the foot in
+stance, 1 for the left and -1 for the right one, all zero for robots that do not walk; the number of
+first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts to,
+see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there are
+`later_footholds` (N - 1, 3), too [m]."""
 
 _VECTORS = (
     *("body_position", "body_velocity"),
@@ -223,6 +226,10 @@ class PlannedReference(SeededTransform):
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
         plan["last_foothold"] = last - torch.nn.functional.pad(shift, (0, 1))
+        stood = moved.of_foot(moved.foot_position, swing=False)
+        level = torch.nn.functional.pad(stood[:, 2:], (2, 0))
+        side = 1.0 - 2.0 * moved.stance[:, None].to(stood)
+        plan["step"] = torch.cat([plan["foothold"] - level, plan["time"], side], -1)
         turn = later.heading.angle
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)
@@ -237,6 +244,7 @@ class PlannedReference(SeededTransform):
                 {name: torch.where(walks, value, other[name]) for name, value in own.items()}
                 for own, other in zip((reference, target), others, strict=True)
             )
+            plan["step"] = torch.where(walks, plan["step"], 0.0)
             plan["filtered_command"] = torch.where(walks, plan["filtered_command"], command)
             shift = torch.where(walks, shift, 0.0)
             into.set("phase", phase)

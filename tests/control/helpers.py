@@ -21,10 +21,10 @@ from aslip.transforms import DIRECTION_TABLE
 from tests.library.standing import standing_library
 
 
-def small_actions(scale: float) -> TensorDictModule:
+def small_actions(scale: float, inputs: int = 82) -> TensorDictModule:
     """Untrained network for all directions, whose actions are at most `scale` [rad]."""
     torch.manual_seed(4)
-    net = torch.nn.Sequential(torch.nn.Linear(82, 10), torch.nn.Tanh())
+    net = torch.nn.Sequential(torch.nn.Linear(inputs, 10), torch.nn.Tanh())
     return TensorDictModule(
         lambda seen: scale * net(seen), in_keys=["observation"], out_keys=["action"]
     )

@@ -26,11 +26,15 @@ from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, r
 from aslip.robot import CASSIE, NoiseLevel
 from aslip.sim.course import stairs, stone_corners
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, SeenStones, StandCommand
+from aslip.transforms.observation import PLANNED_TABLE
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical, yaw
 from tests.control.helpers import compare_rollouts, small_actions, standing_packet
 from tests.library.bent import symmetric_library
 from tests.library.standing import policy_files, slower_library, standing_library
+
+# numbers that policies of plans observe
+PLANNED = 87
 
 
 def _without_gaits(path: Path) -> Path:
@@ -44,9 +48,9 @@ def _without_gaits(path: Path) -> Path:
 
 def _controller(stands: bool = True, planner: BatchPlanner | Planner | None = None) -> Controller:
     return Controller(
-        small_actions(0.02),
+        small_actions(0.02) if planner is None else small_actions(0.02, PLANNED),
         standing_library(),
-        observation=DIRECTION_TABLE,
+        observation=DIRECTION_TABLE if planner is None else PLANNED_TABLE,
         stands=stands,
         planner=planner,
     )
@@ -106,7 +110,7 @@ def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     env = _make(1, planned_stack(standing_library(), planner=planner))
     keys = ("motor_target", "observation", "phase", "mode", ("plan", "foothold"))
     controller = _controller(planner=planner)
-    policy = small_actions(0.02)
+    policy = small_actions(0.02, PLANNED)
     list(compare_rollouts(env, policy, controller, keys, change, steps=60, first=first))
 
 
@@ -116,7 +120,7 @@ def test_stones_from_the_pelvis_are_where_a_stack_sees_them() -> None:
     sight = SeenStones(noise=NoiseLevel(white=0.0, bias=0.0))
     stack = course_stack(planned_stack(standing_library()), [stairs(0.05), stairs(0.05)])
     env = _make(1, {**stack, "seen": sight})
-    controller, policy = _controller(planner=default_planner()), small_actions(0.0)
+    controller, policy = _controller(planner=default_planner()), small_actions(0.0, PLANNED)
     td = env.reset(TensorDict(heading=torch.tensor([[0.4]]), batch_size=1))
     state: Any = None
     for step in range(12):

@@ -28,7 +28,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[Tens
     stack = course_stack(planned_stack(), treads) | {"recorder": Recorder(path, robot=1)}
     env = aslip.make_env(num_envs=2, seed=2, stack=stack, drop=["low_reward"], num_threads=1)
     start = {"command": torch.tensor([[0.3, 0.0, 0.0]] * 2), "stand": torch.zeros(2, 1)}
-    policy, seen = aslip.load_policy("directions"), []
+    policy, seen = aslip.load_policy("stones"), []
     td = env.reset(TensorDict(start, batch_size=2))
     for _ in range(STEPS):
         td["stand"] = torch.zeros(2, 1)

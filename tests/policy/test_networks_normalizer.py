@@ -16,7 +16,7 @@ def test_normalizer_statistics_equal_numpy() -> None:
     for batch in batches:
         normalizer.update(batch)
     everything = torch.cat(batches).double().numpy()
-    assert normalizer.count == len(everything)
+    assert (normalizer.count == len(everything)).all()
     np.testing.assert_allclose(normalizer.mean, everything.mean(axis=0), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(normalizer.variance, everything.var(axis=0), rtol=1e-9)
     normalised = normalizer(torch.cat(batches)).numpy()

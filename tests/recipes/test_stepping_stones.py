@@ -26,9 +26,17 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> StonesConfig:
 
 
 def test_the_policy_starts_from_another_which_waits_for_the_critic(config: StonesConfig) -> None:
-    """The first of two updates is the critic's alone."""
+    """The first of two updates is the critic's alone; inputs that it lacks begin at zero."""
     assert policy_stack(config.out) == "planned"
     before, after = (load_policy(p).state_dict() for p in ("directions", config.out))
+    has = next(len(value) for name, value in before.items() if name.endswith("mean"))
+    new = {name: value[..., has:] for name, value in after.items() if value.shape[-1] == has + 5}
+    after |= {name: after[name][..., :has] for name in new}
+    counts = [v for values in (new, after) for k, v in values.items() if k.endswith("count")]
+    assert (counts[0] == config.total_steps).all()
+    assert (counts[1] > counts[0][0]).all()
+    first = next(value for name, value in new.items() if "weight" in name)
+    assert 0 < first.abs().max() < 20 * config.learning_rate
     moved = [(after[name] - before[name]).abs().max() for name in after if "weight" in name]
     # two epochs of Adam at most
     assert 0 < torch.stack(moved).max() < 20 * config.learning_rate

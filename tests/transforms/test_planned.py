@@ -16,10 +16,16 @@ from aslip.errors import ConfigurationError
 from aslip.ik import LegTable
 from aslip.planning import BatchPlanner, Planner, WalkState
 from aslip.policy import check_policy_fits, load_policy
-from aslip.robot import SIDES
-from aslip.transforms import DIRECTION_TABLE, PlannedReference, RandomFootsteps, SeededTransform
+from aslip.robot import CASSIE, SIDES
+from aslip.transforms import (
+    DIRECTION_TABLE,
+    AssembleObservation,
+    PlannedReference,
+    RandomFootsteps,
+    SeededTransform,
+)
 from aslip.transforms.base import extend_spec
-from aslip.transforms.observation import join_entries
+from aslip.transforms.observation import join_entries, planned_table
 from aslip.transforms.plan_motors import _YIELD, NEAR, PlanMotors, _feet, _turned
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical
@@ -30,7 +36,7 @@ NUM = 6
 def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> Any:
     """Entries (NUM, steps) of walks of a policy."""
     start = TensorDict({"command": torch.tensor([[0.5, 0.0, 0.3]] * NUM), **first}, [NUM])
-    policy, found = load_policy("directions"), []
+    policy, found = load_policy("stones"), []
     td = env.reset(start)
     for _ in range(steps):
         found.append(td)
@@ -209,7 +215,7 @@ def test_true_forces_tell_when_feet_land_without_an_estimator() -> None:
     """Plans on the truth go on to the second foot's landing, too."""
     env = aslip.make_env(num_envs=2, seed=3, stack="planned", **ON_TRUTH)
     td = env.reset(TensorDict({"stand": torch.zeros(2, 1)}, [2]))
-    policy, stances = load_policy("directions"), []
+    policy, stances = load_policy("stones"), []
     for _ in range(30):
         td = env.step_mdp(env.step(policy(td)))
         stances.append(WalkState.from_rows(cast("torch.Tensor", td["plan", "state"])).stance)
@@ -220,6 +226,7 @@ def test_true_forces_tell_when_feet_land_without_an_estimator() -> None:
 def test_policies_observe_the_command_of_the_plan() -> None:
     """Also those that have never seen one; stones decide how fast a plan is."""
     stack = insert_before(planned_stack(), "reference", stones=OneStone())
+    stack["observation"] = AssembleObservation(planned_table(DIRECTION_TABLE))
     env = aslip.make_env(num_envs=2, seed=3, stack=stack)
     check_policy_fits("directions", env)
     command = torch.tensor([[1.2, 0.0, 0.3]]).expand(2, 3)
@@ -231,6 +238,23 @@ def test_policies_observe_the_command_of_the_plan() -> None:
     assert (td["filtered_command"][:, 0] > 0.6).all()
     assert (followed - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
     torch.testing.assert_close(followed[:, 2], td["filtered_command"][:, 2])
+
+
+def test_policies_observe_where_and_when_the_next_foot_lands(walk: Any) -> None:
+    plan, state = walk["plan"], WalkState.from_rows(walk["plan", "state"].flatten(0, 1))
+    flies = plan["time"][..., 0] > CASSIE.policy_period  # the state is that a policy step later
+    stood = state.of_foot(state.foot_position, swing=False).reshape(*flies.shape, 3)
+    step, aim = plan["step"][flies], plan["foothold"][flies]
+    torch.testing.assert_close(step[:, :2], aim[:, :2])
+    torch.testing.assert_close(step[:, 2], (aim - stood[flies])[:, 2])
+    torch.testing.assert_close(step[:, 3:4], plan["time"][flies])
+    left = state.stance.reshape(flies.shape)[flies] == 0
+    assert torch.equal(step[:, 4], 2.0 * left - 1)
+    assert 0 < left.float().mean() < 1
+    assert torch.equal(walk["observation"][..., -5:], plan["step"])
+    env = aslip.make_env(num_envs=2, seed=3, stack="planned")
+    stands = env.reset(TensorDict({"stand": torch.ones(2, 1)}, [2]))
+    assert not stands["plan", "step"].any()
 
 
 def test_a_wrong_share_is_refused() -> None:

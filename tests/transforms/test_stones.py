@@ -150,7 +150,7 @@ def test_robots_see_and_stand_on_polygons() -> None:
     course = TensorDict(stones=torch.ones(2, 2, 6), batch_size=2)
     with pytest.raises(ConfigurationError, match="rectangular stones, but this course has others"):
         env.reset(TensorDict(course=course, batch_size=2))
-    policy = aslip.load_policy("directions")
+    policy = aslip.load_policy("stones")
     for _ in range(10):
         td = env.step(policy(td))["next"]
     assert td["truth", "ground_force"][..., 2].sum(1).min() > 200

@@ -116,7 +116,7 @@ def test_stones_move_while_the_robot_walks() -> None:
     """It falls where they were, and sees where they are."""
     stack = course_stack(planned_stack(), [pattern("straight")])
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
-    walker = Walker("directions", env, speed=0.4)
+    walker = Walker("stones", env, speed=0.4)
     walker.step()
     stones = walker.stones
     assert stones is not None

@@ -135,7 +135,7 @@ def test_the_stone_vanishes_to_which_a_foot_in_flight_goes():
     td = env.reset()
     td["stones", "course"] = torch.as_tensor(courses, dtype=torch.float32)
     env.base_env.set_stones(courses)
-    policy, stones = load_policy("directions"), courses.copy()
+    policy, stones = load_policy("stones"), courses.copy()
     for _ in range(100):
         before = footholds_in_world(td)[0, 0, :2]
         rows = stepping_stones.take_stones(env, td, stones, np.array([1, 99]))

@@ -31,7 +31,7 @@ def page() -> Iterator[Any]:
     env = aslip.make_env(
         stack=course_stack(planned_stack(), course[None]), drop=EPISODE_ENDS, num_threads=1, seed=0
     )
-    page = LivePage(Walker("directions", env, speed=0.4), port=0)
+    page = LivePage(Walker("stones", env, speed=0.4), port=0)
     yield page
     page.stop()
 
