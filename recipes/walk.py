@@ -129,7 +129,7 @@ from aslip.policy import policy_environment, read_card
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, check_look, make_film
-from aslip.sim.course import MOST_STONES, Course, find_course
+from aslip.sim.course import MOST_STONES, Course, find_course, stone_distances
 from aslip.walking import Push, Walker, command_library, policy_steps
 
 # duration of the last speed of a schedule [s]
@@ -160,13 +160,23 @@ def main(config: Config) -> None:
     finally:
         if walker.time:
             ending = "fell after" if walker.fallen else "walked for"
-            print(f"the robot {ending} {walker.time:.2f} s")
+            arrived = ", to the end of the course" if has_arrived(walker) else ""
+            print(f"the robot {ending} {walker.time:.2f} s{arrived}")
         if config.log is not None and config.log.exists():
             print(LOG_COMMANDS.format(config.log, asset_path("viewers/foxglove.json")))
     print(table(schedule, rows))
     if config.video is not None:
         make_film(config.video, frames, 1 / (config.steps_per_frame * CASSIE.policy_period), look)
         print(f"wrote {config.video}")
+
+
+def has_arrived(walker: Walker) -> bool:
+    """Whether the pelvis is above the last stone of the robot's course."""
+    if walker.stones is None or walker.fallen:
+        return False
+    pelvis = walker.td["truth", "pelvis_position"][:, :2].double().numpy()
+    last = walker.stones[np.isfinite(walker.stones[:, 0])][-1:]
+    return bool(len(last)) and not stone_distances(last, pelvis).any()
 
 
 LOG_COMMANDS = """wrote {0}

@@ -164,7 +164,7 @@ class CourseCommand(VelocityCommand):
     def _led(self, command: Tensor, course: Tensor, pelvis: Tensor, turn: Tensor) -> Tensor:
         speed = command[:, :1].clamp(*self.speeds)
         led = self.library.nearest(along_course(course, pelvis, turn, speed))
-        has = torch.isfinite(course[:, :, 0]).sum(1, keepdim=True) > 1
+        has = torch.isfinite(course[:, :, 0]).any(1, keepdim=True)
         return torch.where(has, led, command)
 
 

@@ -48,7 +48,11 @@ def test_a_policy_walks_over_a_course_of_ones_own(
     pattern("straight", count=3).write(tmp_path / "mine.json")
     settings = {"command": "0:0.5 0 0", "duration": 0.6, "course": str(tmp_path / "mine.json")}
     walk.main(walk.Config(policy=str(config.out), **settings))  # pyright: ignore
-    assert "the robot walked for 0.60 s" in capsys.readouterr().out
+    assert "the robot walked for 0.60 s\n" in capsys.readouterr().out
+    settings["course"] = str(tmp_path / "short.json")
+    pattern("straight", count=1).write(tmp_path / "short.json")
+    walk.main(walk.Config(policy="stones", **{**settings, "duration": 6.0}))  # pyright: ignore
+    assert "the robot walked for 6.00 s, to the end of the course" in capsys.readouterr().out
     with pytest.raises(ConfigurationError, match=r"stepping_stones\.py trains one"):
         walk.main(walk.Config(course="up"))
 
