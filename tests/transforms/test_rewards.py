@@ -316,6 +316,9 @@ def test_feet_are_compared_with_each_other_and_far_ones_count_nothing() -> None:
         left = one + torch.tensor([0.0, 0.6, 0.8]) * away
         found = rewards.feet_apart(left + 3.0, one + 3.0, one, one)
         assert found.item() == pytest.approx(expected, abs=1e-5)
+        closer = one + (left - one) / 3
+        scaled = rewards.feet_apart(closer + 3.0, one + 3.0, one, one, scale=0.04 / 3)
+        torch.testing.assert_close(scaled, found, rtol=1e-4, atol=1e-5)
 
 
 def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
