@@ -46,7 +46,7 @@ _FEET_APART = 0.24
 _PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
 # middles of stones ahead that a command aims at, its largest sideways share of the speed, and its
 # largest yaw rate [rad/s]
-_AHEAD, _SIDEWAYS, _TURN = 2, 0.3, 0.4
+_AHEAD, _SIDEWAYS, _TURN = 3, 0.3, 0.4
 # distance from the centre of the last stone at which robots slow down [m]
 _NEAR = 0.4
 # load with which each foot counts without load [N]
