@@ -7,6 +7,13 @@ middle. A course is completed when the pelvis is above the last stone. A stone i
 robot falls, or a loaded foot is deeper than a stone's top. Stacks with a planner, which writes
 `("plan", ...)`, see the stones; others walk blindly.
 
+With `--planner`, robots of any policy have another planner:
+
+- `exact`, the default of stacks with one;
+- `nearest`, which chooses stones one after another, for all robots at once;
+- `two`, with a foresight of two steps;
+- `fixed`, with touchdowns every 0.4 s.
+
 In the row of vanishing stones, these are close together, and the one to which a foot in flight goes
 is taken away at once. It counts how many walk on, or stand, without leaving the others.
 
@@ -20,13 +27,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from aslip.base.command_line import command_line
-from aslip.errors import one_line_errors
+from aslip.errors import UnknownNameError, one_line_errors
 from benchmarks.flags import Directions, check_numbers
+
+PLANNERS = ("exact", "nearest", "two", "fixed")
+"""Names of planners to compare."""
 
 
 @dataclass(frozen=True)
 class Config(Directions):
     """Settings of the benchmark."""
+
+    planner: str | None = None
+    """One of `PLANNERS`, in the place of that of the policy's stack."""
 
     difficulties: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
     """Difficulties of random courses, see `aslip.sim.course.random_stones`."""
@@ -53,6 +66,8 @@ class Config(Directions):
         """Check the settings."""
         super().__post_init__()
         check_numbers(self, "slowest", trials=1, fastest=self.slowest)
+        if self.planner not in (None, *PLANNERS):
+            raise UnknownNameError.among("planner", self.planner, PLANNERS)
 
 
 if __name__ == "__main__":
@@ -60,6 +75,8 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 from contextlib import closing
+from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -68,8 +85,11 @@ from matplotlib.figure import Figure
 from tensordict import TensorDict, TensorDictBase
 from tqdm import tqdm
 
+import aslip
 from aslip.base.interval import Interval
 from aslip.envs import StackEnv
+from aslip.envs.directions import planned_stack
+from aslip.planning import BatchPlanner, Planner, Program
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.rotation import yaw
 from aslip.show.palette import ROBOT
@@ -81,8 +101,10 @@ from aslip.sim.course import (
     stairs,
     stone_distances,
 )
-from aslip.transforms import RandomCourse, SeenStones
+from aslip.transforms import DIRECTION_TABLE, AssembleObservation, RandomCourse, SeenStones
+from aslip.transforms.observation import planned_table
 from aslip.transforms.plan_state import footholds_in_world, landing_foot
+from aslip.transforms.planned import default_planner
 from aslip.transforms.stones import COURSE_KEY
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
@@ -104,7 +126,7 @@ _PATIENCE, _START = 1.5, 5.0
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Walk, compare and draw; the result is the rows."""
     courses = courses_of(config)
-    subjects = policies.load()
+    subjects = [with_planner(subject, config.planner) for subject in policies.load()]
     walks: dict[str, list[dict[str, np.ndarray]]] = {name: [] for name in courses}
     with tqdm(total=len(subjects) * len(courses), unit="course", leave=False) as bar:
         for subject in subjects:
@@ -134,6 +156,25 @@ def courses_of(config: Config) -> dict[str, np.ndarray]:
         close = random_stones(rng, config.trials, difficulty=0.0, step=_CLOSE, **shape)
         courses[_VANISHING] = close
     return courses
+
+
+def with_planner(subject: Subject, name: str | None) -> Subject:
+    """Subject whose robots have one of `PLANNERS`, or its own for None."""
+    if name is None:
+        return subject
+    exact = default_planner()
+    pendulum, limits = exact.program.pendulum, exact.program.limits
+    fixed = (0.99 * pendulum.step_time, 1.01 * pendulum.step_time)
+    planners = {
+        "exact": exact,
+        "nearest": BatchPlanner(exact.program),
+        "two": Planner(Program(pendulum, steps=2)),
+        "fixed": Planner(Program(pendulum, replace(limits, step_time=fixed))),
+    }
+    stack = planned_stack(subject.library, planner=planners[name])
+    if getattr(subject.policy, "card", {}).get("stack") != "planned":
+        stack["observation"] = AssembleObservation(planned_table(DIRECTION_TABLE))
+    return replace(subject, make_env=partial(aslip.make_env, stack=stack))
 
 
 def environment(config: Config, subject: Subject, courses: dict[str, np.ndarray]) -> StackEnv:

@@ -1,10 +1,12 @@
 """Benchmarks of the planner recover what is known."""
 
 import numpy as np
+import pytest
 import torch
 
 import aslip
 from aslip.envs.directions import course_stack, planned_stack
+from aslip.errors import UnknownNameError
 from aslip.planning import BatchPlanner, Pendulum
 from aslip.policy import load_policy
 from aslip.sim.course import random_stones, stairs
@@ -126,6 +128,20 @@ def test_courses_are_completed_unless_a_robot_leaves_a_stone():
     env.close()
     assert walked["completed"].tolist() == [True, False]
     assert np.isnan(walked["distance"]).all()
+
+
+def test_robots_of_any_policy_may_have_another_planner():
+    """Also of one that has never seen a plan; the environments fit the policies."""
+    for name, policy, footholds in (("two", "stones", 2), ("nearest", "directions", 4)):
+        subject = stepping_stones.with_planner(Subject.load(policy), name)
+        env = subject.env(1)
+        td = subject.policy(env.reset())
+        assert td["plan", "later_footholds"].shape == (1, footholds - 1, 3)
+        assert td["action"].isfinite().all()
+        env.close()
+    assert stepping_stones.with_planner(subject, None) is subject
+    with pytest.raises(UnknownNameError, match="no planner 'best'; there are"):
+        stepping_stones.Config(planner="best")
 
 
 def test_the_stone_vanishes_to_which_a_foot_in_flight_goes():
