@@ -6,9 +6,10 @@
 
 A planner on a linear pendulum decides at every policy step where and when the next feet land, and
 the policy follows. It goes on from the policy of all directions, which has never seen a plan. Some
-robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
-floor, where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
-`ppo_directions.py`; evaluations walk commands on the floor.
+robots of a batch walk over random courses of stones and fall into the gaps, and some stones vanish
+before the foot lands; the others are on the floor, where footholds are displaced at random, also in
+flight. Robots, pushes and PPO are those of `ppo_directions.py`; evaluations walk commands on the
+floor.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from ppo_direction_settings import DirectionConfig
 from ppo_settings import ON_GPU, resume_command, training_settings, with_schedule
 
 from aslip.errors import one_line_errors
-from aslip.training.settings import check_range
+from aslip.training.settings import check_positive, check_range
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class StonesConfig(DirectionConfig):
     """Folder of the run."""
     start: str | None = "directions"
     """Policy to start from: the name of a shipped one, a file or a run."""
-    total_steps: int = 4_400_000
+    total_steps: int = 8_000_000
     """Policy steps to train for, rounded up to whole updates."""
     samples: int = 8192
     """Policy steps per update."""
@@ -47,16 +48,18 @@ class StonesConfig(DirectionConfig):
     """Final standard deviation of the policy [rad]."""
     stand: float = 0.05
     """Share of the time with a stand command; 0 for robots that only walk."""
-    push_impulse: float = 10.0
-    """Largest impulse of random pushes [N s]; 0 for none."""
+    course_push: float = 0.3
+    """Impulse of pushes on robots with stones, as a share of the others."""
     command_interval: float = 3.0
     """Mean time between changes of the command in an episode [s]."""
-    ramp: float = 0.3
+    ramp: float = 0.2
     """Share of the training over which displaced footholds, ranges and pushes grow."""
-    courses: float = 0.8
+    courses: float = 0.75
     """Share of the episodes with stones."""
     supported: float = 0.5
     """Share of these in which the ground between the stones does not let robots fall."""
+    vanish_interval: float = 2.0
+    """Mean time in flight between stones that vanish [s]."""
     footstep_ahead: float = 0.1
     """Standard deviation of the displacement of footholds ahead [m]."""
     footstep_sideways: float = 0.05
@@ -71,7 +74,8 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        check_range(self, 0, 1, "courses", "supported")
+        check_range(self, 0, 1, "courses", "supported", "course_push")
+        check_positive(self, "vanish_interval")
 
 
 PRESETS = {
@@ -100,7 +104,7 @@ from aslip.envs.directions import course_stack, planned_stack
 from aslip.planning import BatchPlanner
 from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
-from aslip.transforms import CourseCommand, RandomFootsteps
+from aslip.transforms import CourseCommand, RandomFootsteps, RandomPushes, VanishingStones
 from aslip.transforms.planned import default_planner
 from aslip.walking import WalkResult
 
@@ -109,13 +113,18 @@ _SPEEDS = (0.35, 0.95)
 # sides of stones [m], difficulties, of which the hardest counts twice, courses of each, stones of a
 # course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3), (0.5, 1.0, 1.0), 400, 16, 77
+# length of steps and difficulty of courses with stones so close that some may vanish
+_CLOSE, _LEVEL = 0.24, 0.2
 # length of steps, distance of the feet and rise of a step of varied courses, at least and most [m]
 _LEAST, _MOST = (0.22, 0.14, -0.12), (0.55, 0.4, 0.12)
 # differences of single steps in length and rise [m], largest turn from straight ahead [rad], and
 # stones until the next
 _DIFFERENCES, _TURN, _STRAIGHT = (0.12, 0.05), 0.45, 4
-# width of treads, and of the ground on which no robot falls into a gap [m]
-_WIDTH = 1.2
+# shares of the varied courses that turn, and that are stairs
+_TURNS, _STAIRS = 0.4, 0.3
+# length and rise of treads, at least and most [m], and their width, which is also that of the
+# ground on which no robot falls into a gap
+_LOW, _STEEP, _WIDTH = (0.25, 0.05), (0.4, 0.17), 1.2
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
@@ -143,7 +152,12 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     """Stack for training with courses, and with displaced footholds on the floor."""
     if config.courses:
         stack = course_stack(stack, *course_pool(config.courses, config.supported))
-        cast("CourseCommand", stack["command"]).speeds = _SPEEDS
+        command, pushes = (stack.get(name) for name in ("command", "pushes"))
+        cast("CourseCommand", command).speeds = _SPEEDS
+        if pushes is not None:
+            cast("RandomPushes", pushes).on_stones = config.course_push
+        vanishing = VanishingStones(config.vanish_interval)
+        stack = insert_before(stack, "seen", vanishing=vanishing)
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,
@@ -165,6 +179,8 @@ def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]
         for difficulty in _DIFFICULTIES
     ]
     courses += [varied_stones(rng, len(_DIFFICULTIES) * _EACH, size) for size in _SIZES]
+    close = {"count": _COUNT, "size": _SIZES[0], "difficulty": _LEVEL, "step": _CLOSE}
+    courses.append(random_stones(rng, len(_SIZES) * _EACH, **close))
     stones = np.concatenate(courses)
     flat = np.full((round(len(stones) * (1 - share) / share), *stones.shape[1:]), np.nan)
     shown = np.concatenate([stones, flat])
@@ -177,22 +193,21 @@ def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]
 def varied_stones(rng: np.random.Generator, num: int, size: float) -> np.ndarray:
     """Stones (num, s, 6) of courses that differ from each other.
 
-    Each has its own length, width and rise of steps. A third turn; a third of the others are
-    treads.
+    Each has its own length, width and rise of steps. Some turn, and some are stairs.
     """
     step, apart, rise = rng.uniform(_LEAST, _MOST, (num, 3)).T[..., None]
     longer, higher = rng.uniform(-1.0, 1.0, (2, num, _COUNT))
-    kind = rng.random((num, 1))
-    turns, treads = kind < 1 / 3, kind[:, 0] > 7 / 9
     heading = rng.uniform(-_TURN, _TURN, (num, _COUNT)).repeat(_STRAIGHT, 1)[:, :_COUNT]
-    stones = lay_stones(
-        np.maximum(step + _DIFFERENCES[0] * longer, size + LEAST_GAP),
-        apart=apart,
-        rise=rise + _DIFFERENCES[1] * higher,
-        turn=np.diff(heading * turns, axis=1, prepend=0.0),
-        size=size,
-    )
+    turns, treads = np.arange(num) < _TURNS * num, np.arange(num) >= (1 - _STAIRS) * num
+    step = np.maximum(step + _DIFFERENCES[0] * longer, size + LEAST_GAP)
+    rise = rise + _DIFFERENCES[1] * higher
+    length, steep = rng.uniform(_LOW, _STEEP, (num, 2)).T[..., None]
+    step[treads] = length[treads]
+    rise[treads] = (np.sign(rise[:, :1]) * steep)[treads]
+    turn = np.diff(heading * turns[:, None], axis=1, prepend=0.0)
+    stones = lay_stones(step, apart=apart, rise=rise, turn=turn, size=size)
     stones[treads, 1:-1, 1], stones[treads, 1:-1, 5] = 0.0, _WIDTH
+    stones[treads, 1:-1, 4] = length[treads]
     return stones
 
 

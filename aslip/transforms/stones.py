@@ -19,12 +19,16 @@ from torchrl.data import Composite, Unbounded
 from aslip.base.checks import check_count, check_number
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
-from aslip.robot import NoiseLevel
+from aslip.robot import CASSIE, NoiseLevel
 from aslip.sim.course import STONE, Course, along_course, stone_corners, stone_distances
-from aslip.transforms.base import ChosenAtReset, SeededTransform, require_keys
+from aslip.transforms.base import ChosenAtReset, SeededTransform, check_interval, require_keys
 from aslip.transforms.command import VelocityCommand
+from aslip.transforms.plan_state import footholds_in_world
 from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
 
+# distance of stones around a foothold [m], of which stance and next foot need one each, and time
+# until the touchdown at which a stone may vanish [s]
+_AROUND, _OTHERS, _VANISHES = 0.5, 3, (0.1, 0.25)
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
 COURSE_KEY: Final = ("stones", "course")
 """Key of the stones (n, s, 6) of simulated robots, by the columns of `aslip.sim.course.STONE`."""
@@ -128,7 +132,8 @@ class CourseCommand(VelocityCommand):
     """Draw commands, and lead robots with stones along the middle of their course to its end.
 
     The forward speed of these is that of the draw, moved to a range; sideways speed and yaw rate
-    aim at the stones ahead. The other robots have the commands of `VelocityCommand`.
+    aim at the stones ahead. Zero commands stay, and the robot steps in place. The other robots have
+    the commands of `VelocityCommand`.
 
     Must come before `RandomCourse`: TorchRL prepares resets from the last transform to the first.
 
@@ -164,8 +169,50 @@ class CourseCommand(VelocityCommand):
     def _led(self, command: Tensor, course: Tensor, pelvis: Tensor, turn: Tensor) -> Tensor:
         speed = command[:, :1].clamp(*self.speeds)
         led = self.library.nearest(along_course(course, pelvis, turn, speed))
-        has = torch.isfinite(course[:, :, 0]).any(1, keepdim=True)
-        return torch.where(has, led, command)
+        moves = (command != 0).any(1, keepdim=True)
+        return torch.where(has_stones(course) & moves, led, command)
+
+
+class VanishingStones(SeededTransform):
+    """Hide the stone to which a foot in flight goes, at random, for the rest of an episode.
+
+    Robots do not see it any more, see the argument `shown` of `RandomCourse`, and must step
+    elsewhere; as ground it stays. It is hidden where stones are so close that there is another one
+    for the foot.
+
+    Must come after `RandomCourse` and before `SeenStones`.
+
+    Args:
+        interval: mean time in flight between stones that vanish [s].
+
+    Raises:
+        ConfigurationError: `interval` is shorter than a policy step.
+    """
+
+    needs_env = "stones stay hidden for an episode"
+
+    def __init__(self, interval: float = 2.0) -> None:
+        super().__init__([SHOWN_KEY], [])
+        self.interval = check_interval(interval)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        shown = cast("Tensor", next_tensordict[SHOWN_KEY])
+        aim = footholds_in_world(tensordict)[:, 0, :2]
+        target = stone_distances(shown, aim[:, None])[:, 0].argmin(-1)
+        near = (shown[..., :2] - aim[:, None]).norm(dim=-1) < _AROUND
+        left = cast("Tensor", tensordict["plan", "time"])[:, 0]
+        chance = torch.rand(left.shape, generator=self.generator, device=self.place)
+        hidden = (chance < CASSIE.policy_period / self.interval) & (near.sum(-1) > _OTHERS)
+        hidden &= (left > _VANISHES[0]) & (left < _VANISHES[1])
+        order = torch.arange(shown.shape[1], device=shown.device)
+        gone = hidden[:, None] & (order == target[:, None])
+        return next_tensordict.set(SHOWN_KEY, shown.masked_fill(gone[..., None], torch.nan))
 
 
 class SeenStones(SeededTransform):
@@ -280,6 +327,11 @@ def _outline(courses: Sequence[Course]) -> np.ndarray:
     most = max(map(len, courses[0].corners))
     padded = [np.pad(c, ((0, most - len(c)), (0, 0)), mode="edge") for c in courses[0].corners]
     return np.array(padded)[None]
+
+
+def has_stones(stones: Tensor) -> Tensor:
+    """Mask (n, 1) of the robots with stones (n, s, 6)."""
+    return torch.isfinite(stones[..., 0]).any(1, keepdim=True)
 
 
 def _shown(td: TensorDictBase) -> Tensor:
