@@ -82,7 +82,7 @@ class Weights:
     offset: float = 3.0
     """Offsets of the divergent component other than the command's [1/m^2]."""
     last: float = 100.0
-    """The last of these offsets [1/m^2]: what comes after it depends on it alone."""
+    """The last of these offsets [1/m^2]: most of what comes after depends on it."""
     pressure: float = 3.0
     """Centre of pressure ahead of the middle of the foot, or behind [1/m^2]."""
     stay: float = 0.5

@@ -26,8 +26,8 @@ from aslip.transforms.command import VelocityCommand
 from aslip.transforms.plan_state import footholds_in_world
 from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
 
-# distance of stones around a foothold [m], of which stance and next foot need one each, and time
-# until the touchdown at which a stone may vanish [s]
+# a stone may vanish if more others than these are within a distance of it [m], as the other foot
+# needs two; and time until the touchdown then [s]
 _AROUND, _OTHERS, _VANISHES = 0.5, 3, (0.1, 0.25)
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
 COURSE_KEY: Final = ("stones", "course")

@@ -1,4 +1,4 @@
-"""Courses of stones that plans alone complete: what no policy can make up for.
+"""Courses of stones that plans alone complete, which tells planners apart.
 
     python -m benchmarks.planning.followed
 
