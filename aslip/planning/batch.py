@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from aslip.base.arrays import Array, namespace
-from aslip.errors import ShapeError
+from aslip.errors import ConfigurationError
 from aslip.planning.plan import Plan
 from aslip.planning.program import Problem, Program, like
 from aslip.planning.state import WalkState
@@ -22,14 +22,16 @@ from aslip.planning.stones import Stones, nearest
 
 # times that time and footholds are improved on their stones
 _SWEEPS = 4
-# cost of a violated limit [1/m^2], and violation that is none [m]
+# cost of a violated limit [1/m^2], and violation that is none [m, s]
 _VIOLATION, _NONE = 1e4, 1e-3
 
 
 class BatchPlanner:
     """Footsteps of many robots, from numbers in double precision.
 
-    The cost hardly depends on the time of the touchdown, so that single precision loses it.
+    The cost hardly depends on the time of the touchdown, so that single precision loses it. Unlike
+    those of `aslip.planning.Planner`, plans on stones are for robots that all have some; their cost
+    leaves out that of stones and of the centre of pressure, and `within_limits` is of time alone.
 
     Args:
         program: model, limits, weights and number of steps.
@@ -56,11 +58,13 @@ class BatchPlanner:
             aim: (n, 3) where and when the foot in flight was to land, see `Planner.plan` [m, s].
 
         Raises:
-            ShapeError: the command is in single precision.
+            ConfigurationError: the command is in single precision.
         """
         program = self.program
         if "64" not in str(command.dtype):
-            raise ShapeError(f"planning takes numbers in double precision, got {command.dtype}")
+            raise ConfigurationError(
+                f"planning takes numbers in double precision, got {command.dtype}"
+            )
         problem = program.problem(state, command, stones, aim)
         xp, cost = namespace(command), program.cost(problem)
         least, _, greatest = program.variable(problem, problem.times).T
@@ -80,7 +84,9 @@ class BatchPlanner:
             desired = self._rest(cost, steps, variable)[1][:, 0] if near else problem.step[:, k]
             box = self._box(problem, reach, steps, variable, of_body=near)
             if stones is None:
-                step = _clipped(desired if shift is None or k else desired + shift, *box)
+                step = _clipped(desired, *box)
+                if shift is not None and k == 0:
+                    step = _clipped(step + shift, *box)
             else:
                 places = self._places(problem, stones, k, foothold, desired, box)
                 places = (*places[:2], program.weights.step * places[2] + extra[:, k])

@@ -65,15 +65,19 @@ class Limits:
         """Check ranges and signs."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, tuple):
+            if not isinstance(field.default, tuple):
                 check_number(field.name, value, 0.0 if field.name in _ZERO else TINY)
-            elif not (np.isfinite(value).all() and value[0] < value[1]):
+            elif np.shape(value) != (2,) or not (np.isfinite(value).all() and value[0] < value[1]):
                 raise ConfigurationError(f"{field.name} must be a range (low, high), got {value}")
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of squares in the cost."""
+    """Weights of squares in the cost.
+
+    Raises:
+        ConfigurationError: a weight is negative.
+    """
 
     time: float = 10.0
     """Touchdown sooner or later than nominal [1/s^2]."""
@@ -94,6 +98,11 @@ class Weights:
     """Change of the time at which a foot in flight lands [1/s^2]; without it, noise moves the
     touchdown by 0.1 s and more, as the other costs hardly depend on it."""
 
+    def __post_init__(self) -> None:
+        """Check that none is negative."""
+        for field in fields(self):
+            check_number(field.name, getattr(self, field.name), 0.0)
+
     def stay_of(self, problem: Problem, stones: Stones, foot: float) -> Array:
         """Cost (n, N, m) of stones that are behind the command at each step, see `stay`.
 
@@ -111,7 +120,7 @@ class Weights:
         room = xp.maximum(most, middle) - start
         order = xp.arange(problem.side.shape[1], device=problem.side.device) + 0.5
         late = room[:, None] < (order * wanted)[..., None]
-        return self.stay * (late & (wanted > 0)[..., None])
+        return self.stay * ((late & (wanted > 0)[..., None]) + 0.0 * room[:, None])
 
     def change_of(self, stones: Stones, aim: Array) -> Array:
         """Cost (n, m) of stones for feet that go to (n, 2 or 3); none where that is NaN."""

@@ -80,7 +80,7 @@ class Plan:
     foothold: Array
     """(n, N, 3) where the feet land [m]."""
     heading: Array
-    """(n, N) heading of the body and the landing foot then [rad]."""
+    """(n, N) heading of the landing feet, that of the body at the nominal times [rad]."""
     yaw_rate: Array
     """(n,) turn of the body [rad/s]."""
     stones: Array
@@ -233,7 +233,8 @@ class Plan:
         xp, s = namespace(done), self.state
         rest = xp.zeros_like(step.last)
         flying = ((done == 0) & (step.shift == 0))[:, None]
-        found = [s.of_foot(a, swing=True)[rows] for a in _motion(s)]
+        motion = (s.foot_position, s.foot_velocity, s.foot_acceleration)
+        found = [s.of_foot(a, swing=True)[rows] for a in motion]
         now = [xp.where(flying, a, b) for a, b in zip(found, (step.last, rest, rest), strict=True)]
         position, velocity, acceleration = swing(
             (now[0], now[1], now[2]),
@@ -282,10 +283,6 @@ class _Footstep:
     """(m,) time until the next touchdown then [s]."""
     elapsed: Array
     """(m,) time of the sample since then [s]."""
-
-
-def _motion(state: WalkState) -> tuple[Array, Array, Array]:
-    return state.foot_position, state.foot_velocity, state.foot_acceleration
 
 
 def _by_side(side: Array, stance: Array, swing: Array) -> Array:

@@ -192,10 +192,10 @@ class Planner:
         program, limits, num = self.program, self.program.limits, len(problem.shift)
         steps, stance, used = program.steps, problem.stance, program.used[:, None, None]
         shrunk = stones.shrunk(problem.heading, limits.half_foot, limits.margin, used)
-        offsets = shrunk - (stones.normals @ stance[:, None, :2, None])[:, None, ..., 0]
+        edge = (stones.normals @ stance[:, None, :2, None])[..., 0]
+        offsets = shrunk - edge[:, None]
         longest = np.hypot(max(np.abs(limits.length)), max(np.abs(limits.width)))
-        away = np.abs(stones.corners - stance[:, None, None, :2]).max(-1).min(-1)
-        near = stones.present & (away <= steps * longest)
+        near = stones.present & ((edge - stones.offsets).max(-1) <= steps * longest)
         # the stance foot comes first, as a point
         edges = stones.corners.shape[2]
         point = np.broadcast_to(stance[:, None, None, :2], (num, 1, edges, 2))

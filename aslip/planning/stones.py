@@ -102,22 +102,6 @@ class Stones:
             present=present,
         )
 
-    def seen_from(self, position: Array, heading: Array) -> Stones:
-        """Stones in the frames of n robots.
-
-        Args:
-            position: (n, 2) origins of the frames in the frame of the stones [m].
-            heading: (n,) yaw of the frames there [rad].
-        """
-        xp = namespace(self.offsets)
-        normals = turned(self.normals, -heading[:, None, None])
-        offsets = self.offsets - (self.normals * position[:, None, None]).sum(-1)
-        centres = turned(self.centres - position[:, None], -heading[:, None])
-        corners = turned(self.corners - position[:, None, None], -heading[:, None, None])
-        shape = xp.broadcast_shapes(centres.shape[:2], self.heights.shape)
-        heights, present = (xp.broadcast_to(a, shape) for a in (self.heights, self.present))
-        return Stones(normals, offsets, corners, centres, heights, present)
-
     def pick(self, index: Array) -> Stones:
         """Stones (n, k) by index (n, k)."""
         rows = namespace(index).arange(len(index), device=index.device)[:, None]
@@ -157,7 +141,7 @@ class Stones:
         """Heights (n,) of stones by index (n,); that of the floor (n,) for index -1."""
         xp = namespace(self.heights)
         rows = xp.arange(len(stone), device=self.heights.device)
-        return xp.where(stone >= 0, self.heights[rows % len(self.heights), stone], floor)
+        return xp.where(stone >= 0, self.heights[rows, stone], floor)
 
 
 def nearest(points: Array, normals: Array, offsets: Array) -> Array:
@@ -173,14 +157,6 @@ def nearest(points: Array, normals: Array, offsets: Array) -> Array:
         beyond = ((normal * points).sum(-1) - offsets[..., edge]).clip(0.0)
         points = points - beyond[..., None] * normal
     return points
-
-
-def turned(vectors: Array, angle: Array) -> Array:
-    """Vectors (*b, 2), turned by angles (*b,)."""
-    xp = namespace(vectors)
-    cosine, sine = xp.cos(angle), xp.sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return xp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 
 def _checked(index: int, polygon: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ MOST_STONES: Final = 200
 """Largest number of stones of a course."""
 # standing feet, with a margin [m]
 _FEET = np.array([[-0.1, -0.17], [0.1, -0.17], [0.1, 0.17], [-0.1, 0.17]])
-_LONGEST_EDGE = 1e3
+_FARTHEST = 1e3
 # lateral distance of feet, and the start's and goal's platforms [m]
 _FEET_APART = 0.24
 _PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
@@ -260,8 +260,10 @@ def _checked_polygon(index: int, corners: Any) -> np.ndarray:
     corners = np.array(corners, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
         raise ShapeError(f"corners of stone {index} must be (k >= 3, 2), got {corners.shape}")
-    if not (np.abs(corners) < _LONGEST_EDGE).all():
-        raise ConfigurationError(f"corners of stone {index} must be finite, got {corners.tolist()}")
+    if not (np.abs(corners) < _FARTHEST).all():
+        raise ConfigurationError(
+            f"corners of stone {index} must be within {_FARTHEST:g} m, got {corners.tolist()}"
+        )
     edge = np.roll(corners, -1, axis=0) - corners
     after = np.roll(edge, -1, axis=0)
     bend = edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]

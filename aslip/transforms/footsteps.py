@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.base.checks import check_number
+from aslip.planning import WalkState
 from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_interval, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
@@ -77,7 +78,9 @@ class RandomFootsteps(SeededTransform):
         time = cast("Tensor", tensordict["plan", "time"])
         chance = torch.rand(time.shape, generator=self.generator, device=self.place)
         again = (chance < CASSIE.policy_period / self.interval) & (time > _LATE)
-        again |= time <= CASSIE.policy_period
+        # of the foot that has landed, also before its time
+        landed = WalkState.from_rows(cast("Tensor", tensordict["plan", "state"])).since
+        again |= landed[:, None] <= CASSIE.policy_period + 1e-6
         shift = torch.where(
             again, self._drawn(next_tensordict), cast("Tensor", tensordict[self.out_keys[0]])
         )

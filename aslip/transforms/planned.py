@@ -16,7 +16,6 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from aslip.base.arrays import namespace
-from aslip.base.checks import check_number
 from aslip.estimation import FilterNoise, StateEstimator
 from aslip.library import GaitLibrary, WalkMode
 from aslip.planning import BatchPlanner, Pendulum, Planner, Program, Stones, WalkState
@@ -70,8 +69,10 @@ _VECTORS = (
 _HEADINGS = ("body_heading", *(f"{side}_foot_heading" for side in SIDES))
 # read where they are
 _OPTIONAL = ("heading", "estimator", ("truth", "ground_force"), "footsteps", "stones")
-# error of the divergent component from which a plan follows fast [m]
-_LARGE = 0.15
+_COMMAND: Final = "filtered_command"
+# shares of the distance to the estimate by which a plan moves in a policy step, and error of the
+# divergent component from which it is the larger one [m]
+_FOLLOW, _LARGE = (0.1, 0.6), 0.15
 # limits of plans of robots that fall: body from the stance foot, above it [m], speed [m/s]
 _FAR, _HIGH, _FAST = 0.8, 1.5, 3.5
 # height of the body above the ground in the library's gaits [m]
@@ -110,12 +111,7 @@ class PlannedReference(SeededTransform):
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
         planner: a `Planner`, which is exact and the default, or a `BatchPlanner`, for GPUs.
-        follow: share of the distance to the estimate by which a plan moves in a policy step.
-        command_key: key of the command (n, 3) to plan for.
         stands: whether there are `mode` and `stand`, see `StandClock`.
-
-    Raises:
-        ConfigurationError: `follow` is not between 0 and 1.
     """
 
     needs_env = "plans go on from those of the step before"
@@ -125,22 +121,15 @@ class PlannedReference(SeededTransform):
         library: GaitLibrary,
         planner: BatchPlanner | Planner | None = None,
         *,
-        follow: tuple[float, float] = (0.1, 0.6),
-        command_key: NestedKey = "filtered_command",
         stands: bool = False,
     ) -> None:
-        keys: list[NestedKey] = [command_key, "phase", *(("mode", "stand") if stands else ())]
+        keys: list[NestedKey] = [_COMMAND, "phase", *(("mode", "stand") if stands else ())]
         keys += [("odometry", name) for name in (*ODOMETRY_SIZES, *PATH_SIZES)]
         super().__init__(keys, ["reference", "target", "plan"])
         self.library = library
         self.planner = default_planner() if planner is None else planner
         self._motors = PlanMotors(self.planner.program.pendulum)
-        slow, fast = follow
-        self.follow = (
-            check_number("follow", slow, 0.0, fast),
-            check_number("follow", fast, slow, 1.0),
-        )
-        self._command_key, self._stands = command_key, stands
+        self._stands = stands
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -190,7 +179,7 @@ class PlannedReference(SeededTransform):
         odometry = cast("TensorDictBase", found["odometry"])
         pelvis, _, left, right = (cast("Tensor", odometry[name]) for name in ODOMETRY)
         ground = torch.minimum(left[:, 2:], right[:, 2:])
-        phase, command = (cast("Tensor", found[key]) for key in ("phase", self._command_key))
+        phase, command = (cast("Tensor", found[key]) for key in ("phase", _COMMAND))
         return start_state(self.library, phase, command, pelvis, ground)
 
     def _drawn(self, state: WalkState, found: TensorDictBase) -> WalkState:
@@ -199,20 +188,21 @@ class PlannedReference(SeededTransform):
         position, velocity, *feet = (cast("Tensor", odometry[name]) for name in ODOMETRY)
         contact = contact_of(found)
         stance = torch.arange(2, device=contact.device) == state.stance[:, None]
-        share = torch.where(stance & contact, self.follow[1], 0.0)[..., None]
+        share = torch.where(stance & contact, _FOLLOW[1], 0.0)[..., None]
         foot = torch.lerp(state.foot_position, torch.stack(feet, 1), share)
         stood = state.of_foot(foot, swing=False)
         away, faster = position - state.body_position, velocity - state.body_velocity
         # of the divergent component, which determines where the next steps must be
         error = (away + faster / self.planner.program.pendulum.rate)[:, :2].norm(dim=-1)
-        slow, fast = self.follow
+        slow, fast = _FOLLOW
         share = slow + (fast - slow) * (error / _LARGE).clamp(max=1.0)
         level = torch.nn.functional.pad(share[:, None].expand(-1, 2), (0, 1))
         body = state.body_position + level * away
         speed = state.body_velocity + level * faster
+        far = body.new_tensor([_FAR, _FAR, _HIGH])
         return replace(
             state,
-            body_position=stood + (body - stood).clamp(-_FAR, _HIGH),
+            body_position=stood + torch.maximum(torch.minimum(body - stood, far), -far),
             body_velocity=speed.clamp(-_FAST, _FAST),
             foot_position=foot,
         )
@@ -234,7 +224,7 @@ class PlannedReference(SeededTransform):
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)
         if self._stands:
-            command, phase = (cast("Tensor", into[key]) for key in (self._command_key, "phase"))
+            command, phase = (cast("Tensor", into[key]) for key in (_COMMAND, "phase"))
             mode, stand = (cast("Tensor", into[key]) for key in ("mode", "stand"))
             walks = mode == WalkMode.WALK
             planned = phase_of(state, plan["time"], self.library.stride(command))
@@ -256,7 +246,7 @@ class PlannedReference(SeededTransform):
         self, found: TensorDictBase, state: WalkState, shift: Tensor, aim: Tensor | None
     ) -> tuple[Any, Any, tuple[Any, Any], dict[str, Tensor]]:
         """`PlanSample`s of tensors now, a step later and around that, and the plan's entries."""
-        command = cast("Tensor", found[self._command_key])
+        command = cast("Tensor", found[_COMMAND])
         footsteps = found.get(("footsteps", "shift"), None)
         kept: dict[str, Any] = {} if aim is None else {"aim": aim}
         free = kept if footsteps is None else {**kept, "shift": footsteps}

@@ -95,11 +95,14 @@ class RandomCourse(ChosenAtReset):
 
     def _drawn(self, request: TensorDictBase) -> dict[NestedKey, Tensor]:
         given = None if "_reset" in request else request.get(_REQUEST_KEY, None)
-        if given is not None:
-            if OUTLINE_KEY in self._rows:
+        if OUTLINE_KEY in self._rows:
+            if given is not None:
                 raise ConfigurationError(
                     f"{_REQUEST_KEY} places rectangular stones, but this course has others"
                 )
+        elif "_reset" not in request:
+            given = request.get(COURSE_KEY, given)
+        if given is not None:
             return dict.fromkeys(self._rows, cast("Tensor", given))
         count = len(self._rows[COURSE_KEY])
         chosen = torch.randint(count, request.batch_size, generator=self.generator)
@@ -213,6 +216,11 @@ class VanishingStones(SeededTransform):
         order = torch.arange(shown.shape[1], device=shown.device)
         gone = hidden[:, None] & (order == target[:, None])
         return next_tensordict.set(SHOWN_KEY, shown.masked_fill(gone[..., None], torch.nan))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Check that stones are shown."""
+        require_keys(self, observation_spec, self.in_keys)
+        return observation_spec
 
 
 class SeenStones(SeededTransform):

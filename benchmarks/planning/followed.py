@@ -52,8 +52,8 @@ from aslip.base.interval import Interval
 from aslip.base.tables import markdown
 from aslip.envs.straight import shipped_library
 from aslip.planning import BatchPlanner, Planner, Stones
-from aslip.planning.stones import turned
 from aslip.robot import CASSIE
+from aslip.robot.rotation import rotate_level
 from aslip.sim.course import along_course, random_stones, stone_corners, stone_distances
 from aslip.transforms.nested import mapped, to_numpy
 from aslip.transforms.plan_state import start_state
@@ -84,7 +84,7 @@ def followed(
     for _ in range(round(config.seconds / CASSIE.policy_period)):
         known = _nearest(stones, place + _AHEAD * np.stack([np.cos(yaw), np.sin(yaw)], -1))
         seen = Stones.from_corners(
-            turned(corners[rows[:, None], known] - place[:, None, None], -yaw[:, None, None]),
+            rotate_level(corners[rows[:, None], known] - place[:, None, None], -yaw[:, None, None]),
             stones[rows[:, None], known, 2],
         )
         wanted = along_course(stones, place, yaw[:, None], pace)
@@ -97,17 +97,19 @@ def followed(
         velocity[:, :2] += noise * rng.normal(size=(num, 2))
         later = replace(later, foot_position=feet, body_velocity=velocity)
         stood = feet[rows, later.stance, :2]
-        beside = stone_distances(stones, (place + turned(stood, yaw))[:, None])[:, 0].min(-1) > 0
+        beside = (
+            stone_distances(stones, (place + rotate_level(stood, yaw))[:, None])[:, 0].min(-1) > 0
+        )
         far = np.abs(later.body_position[:, :2] - stood).max(-1) > _FALLEN
         going &= ~(lands & beside) & ~far
         # the next frame is below the body
         moved, turn = later.body_position[:, :2], command[:, 2] * CASSIE.policy_period
         flies = (later.since > planner.program.pendulum.double_stance) & ~lands
-        aim = turned(plan.foothold[:, 0, :2] - moved, -turn)
+        aim = rotate_level(plan.foothold[:, 0, :2] - moved, -turn)
         aim = np.concatenate([aim, plan.time[:, :1] - CASSIE.policy_period], 1)
         aim = np.where(flies[:, None], aim, np.nan)
         state = later.seen_from(moved, turn)
-        place, yaw = place + turned(moved, yaw), yaw + turn
+        place, yaw = place + rotate_level(moved, yaw), yaw + turn
         there = stone_distances(stones[:, -1:], place[:, None])[:, 0, 0] == 0
         done, going = done | (going & there), going & ~there
         if not going.any():

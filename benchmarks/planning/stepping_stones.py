@@ -221,7 +221,7 @@ def walk_courses(
             lost[take_stones(env, td, stones, first)] = step
         pose = [torch.as_tensor(frames[-1][name]) for name in ("pelvis", "yaw")]
         command = along_course(places, pose[0], pose[1][:, None], speeds)
-        td["command"] = command[:, : td["command"].shape[1]].to(td["command"])
+        td["command"] = subject.library.nearest(command.float()).to(td["command"])
         after = take_step(subject.policy, env, td)
         outcome = cast("TensorDictBase", after["next"])
         frame = frame_of(outcome, stones, walking)

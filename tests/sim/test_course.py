@@ -120,7 +120,9 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "line": (lambda: _course(ROW, polygons={1: SQUARE[:2]}), r"be \(k >= 3, 2\), got \(2, 2\)"),
     "stray": (lambda: _course(polygons={1: SQUARE}), "polygon 1 is of none of the 1 stones"),
-    "infinite": (lambda: _course(ROW, polygons={1: SQUARE * np.inf}), "stone 1 must be finite"),
+    "infinite": (
+        lambda: _course(ROW, polygons={1: SQUARE * np.inf}), "stone 1 must be within 1000 m"
+    ),
 }  # fmt: skip
 
 

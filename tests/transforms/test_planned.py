@@ -12,7 +12,6 @@ import aslip
 from aslip.envs import ON_TRUTH, StackEnv, insert_before
 from aslip.envs.directions import planned_stack
 from aslip.envs.straight import shipped_library
-from aslip.errors import ConfigurationError
 from aslip.ik import LegTable
 from aslip.planning import BatchPlanner, Planner, WalkState
 from aslip.policy import check_policy_fits, load_policy
@@ -68,10 +67,28 @@ def test_plans_go_on_where_they_led(walk: Any) -> None:
         assert moves.abs().max() < 1e-4
         assert turns.abs().max() < 1e-4
     assert swing.sum() > NUM * 10
-    jumps = (walk["plan", "foothold"][:, 1:] - walk["plan", "foothold"][:, :-1]).norm(dim=-1)
-    assert jumps.max() > 0.1
+    shift, stance = walk["footsteps", "shift"], led.stance.reshape(NUM, -1)
+    in_flight = stance[:, 1:] == stance[:, :-1]
+    jumps = (walk["plan", "foothold"][:, 2:] - walk["plan", "foothold"][:, 1:-1]).norm(dim=-1)
+    assert jumps[in_flight & (shift[:, 2:] != shift[:, 1:-1]).any(-1)].max() > 0.1
     assert walk["heading"].amin() < -3
     assert walk["heading"].amax() > 3
+
+
+def test_each_step_has_a_displacement_of_its_own() -> None:
+    """Also after feet that touch the ground before their time."""
+    footsteps = RandomFootsteps(share=1.0, interval=1e9)
+    env = aslip.make_env(
+        num_envs=NUM, seed=3, stack=insert_before(planned_stack(), "reference", footsteps=footsteps)
+    )
+    walk = _walk(env, stand=torch.zeros(NUM, 1))
+    stance = WalkState.from_rows(walk["plan", "state"].flatten(0, 1)).stance.reshape(NUM, -1)
+    drawn = (walk["footsteps", "shift"].diff(dim=1) != 0).any(-1)
+    lands = stance.diff(dim=1) != 0
+    assert lands.sum() > 2 * NUM
+    # in the step of the touchdown, or in the next one
+    assert (drawn[:, :-1] | drawn[:, 1:])[lands[:, :-1]].all()
+    assert drawn.sum() <= lands.sum() + NUM
 
 
 def test_plans_keep_where_the_foot_in_stance_was_to_land(walk: Any) -> None:
@@ -255,11 +272,6 @@ def test_policies_observe_where_and_when_the_next_foot_lands(walk: Any) -> None:
     env = aslip.make_env(num_envs=2, seed=3, stack="planned")
     stands = env.reset(TensorDict({"stand": torch.ones(2, 1)}, [2]))
     assert not stands["plan", "step"].any()
-
-
-def test_a_wrong_share_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="follow"):
-        PlannedReference(shipped_library("directions"), follow=(0.1, 1.5))
 
 
 def test_a_foot_that_touches_the_ground_has_landed() -> None:

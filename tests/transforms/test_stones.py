@@ -12,7 +12,7 @@ from torchrl.envs.utils import check_env_specs
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.errors import AslipError, ConfigurationError, ShapeError
+from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import NoiseLevel
 from aslip.robot.rotation import yaw
 from aslip.sim.course import Course, lay_stones, pattern, stairs, stone_distances
@@ -73,11 +73,16 @@ def test_stones_that_are_shown_need_not_be_all_the_ground() -> None:
     size = corners[:, 2] - corners[:, 0]
     np.testing.assert_allclose(size.norm(dim=1), np.hypot(*shown[0, :, 4:].T), atol=1e-5)
     chosen = torch.as_tensor(shown, dtype=torch.float32).expand(2, -1, -1)
-    td = env.reset(TensorDict(course=TensorDict(stones=chosen), batch_size=2))
-    np.testing.assert_array_equal(env.base_env.stones, chosen)
-    assert torch.equal(td["stones", "shown"], chosen)
+    for key in (("course", "stones"), ("stones", "course")):
+        chosen = chosen * torch.tensor([1.0, 1.0, -1.0, 1.0, 1.0, 1.0])
+        td = env.reset(TensorDict({key: chosen}, batch_size=2))
+        np.testing.assert_array_equal(env.base_env.stones, chosen)
+        assert torch.equal(td["stones", "shown"], chosen)
     with pytest.raises(ShapeError, match=r"must be \(1, 4, 6\), got \(1, 3, 6\)"):
         RandomCourse(ground, shown[:, 1:])
+    blind = insert_before(default_stack(), "start", course=RandomCourse(ground))
+    with pytest.raises(UnknownNameError, match="shown"):
+        aslip.make_env(stack=insert_before(blind, "observation", vanishing=VanishingStones()))
 
 
 def test_stones_vanish_below_feet_in_flight_where_another_one_is_close() -> None:
