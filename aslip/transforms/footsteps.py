@@ -63,8 +63,8 @@ class RandomFootsteps(SeededTransform):
 
     def _drawn(self, tensordict: TensorDictBase) -> Tensor:
         shape = tensordict.batch_size
-        normal = torch.randn((*shape, 2), generator=self.generator, device=self.place)
-        chance = torch.rand((*shape, 1), generator=self.generator, device=self.place)
+        normal = torch.randn((*shape, 2), generator=self.generator)
+        chance = torch.rand((*shape, 1), generator=self.generator)
         size = self._spread * difficulty_of(tensordict, self._difficulty_key)
         return torch.where(chance < self.share, size * normal, 0.0)
 
@@ -76,7 +76,7 @@ class RandomFootsteps(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         time = cast("Tensor", tensordict["plan", "time"])
-        chance = torch.rand(time.shape, generator=self.generator, device=self.place)
+        chance = torch.rand(time.shape, generator=self.generator)
         again = (chance < CASSIE.policy_period / self.interval) & (time > _LATE)
         # of the foot that has landed, also before its time
         landed = WalkState.from_rows(cast("Tensor", tensordict["plan", "state"])).since

@@ -210,7 +210,7 @@ class VanishingStones(SeededTransform):
         target = stone_distances(shown, aim[:, None])[:, 0].argmin(-1)
         near = (shown[..., :2] - aim[:, None]).norm(dim=-1) < _AROUND
         left = cast("Tensor", tensordict["plan", "time"])[:, 0]
-        chance = torch.rand(left.shape, generator=self.generator, device=self.place)
+        chance = torch.rand(left.shape, generator=self.generator)
         hidden = (chance < CASSIE.policy_period / self.interval) & (near.sum(-1) > _OTHERS)
         hidden &= (left > _VANISHES[0]) & (left < _VANISHES[1])
         order = torch.arange(shown.shape[1], device=shown.device)
