@@ -10,8 +10,7 @@ import numpy as np
 from aslip.base.checks import check_number
 from aslip.network.wire import LOOPBACK
 from aslip.network.wire.endpoint import check_port
-from aslip.planning.stones import turned
-from aslip.robot.rotation import yaw
+from aslip.robot.rotation import rotate_level, yaw
 from aslip.sim.course import Course, along_course
 
 # distance from the pelvis within which stones are seen [m]
@@ -52,7 +51,7 @@ class Guide:
         stones = []
         for corners, row in zip(self.course.corners, self.course.stones, strict=True):
             if np.linalg.norm(row[:2] - position[:2]) <= _SIGHT:
-                level = turned(corners - position[:2], -turn)
+                level = rotate_level(corners - position[:2], -turn)
                 height = np.full((len(level), 1), row[2] - position[2])
                 stones.append(np.concatenate([level, height], 1).round(6).tolist())
         names = ("forward", "sideways", "yaw_rate")
