@@ -1,6 +1,6 @@
 """Draw the picture of the page of the planner: a walk, a push and stones, by plans alone.
 
-python docs/plans.py
+python -m docs.plans
 """
 
 from __future__ import annotations
@@ -14,28 +14,17 @@ import numpy as np
 from matplotlib.patches import Polygon
 
 from aslip.planning import Plan, Planner, Stones, WalkState
+from benchmarks.planning.planner import standing
 
 _COMMAND = np.array([[0.6, 0.0, 0.0]])
-# policy step [s], time of the push, until its plan is drawn [s], and speed that it adds [m/s]
-_STEP, _PUSHED, _PUSH = 0.03, 0.15, np.array([0.0, 0.35, 0.0])
+# time of the push after a touchdown [s], and speed that it adds [m/s]
+_PUSHED, _PUSH = 0.15, np.array([0.0, 0.35, 0.0])
 _LEFT, _RIGHT, _BODY, _OFFSET, _STONE = "#1f77b4", "#d2780f", "#222222", "#8e5bb5", "#cfcfcf"
 
 
 def walking(planner: Planner) -> WalkState:
     """State at a touchdown of the left foot, after plans from a stance at rest."""
-    feet = np.array([[[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]]])
-    body = np.array([[0.0, 0.0, planner.program.pendulum.height]])
-    state = WalkState(
-        body_position=body,
-        body_velocity=0 * body,
-        foot_position=feet,
-        foot_velocity=0 * feet,
-        foot_acceleration=0 * feet,
-        foot_heading=np.zeros((1, 2)),
-        lift_off=feet[:, 1],
-        stance=np.array([0]),
-        since=np.zeros(1),
-    )
+    state = standing(planner.program, 0)
     for _ in range(12):
         plan = planner.plan(state, _COMMAND)
         state = plan.sample(plan.time[:, 0]).state()
@@ -90,7 +79,7 @@ def main(path: Path) -> None:
     before = planner.plan(state, _COMMAND)
     for plan, line in ((before, ":"), (after, "-")):
         found = motion(plan, rate)
-        pushed.plot(*found["body"].T, line, color=_BODY, label="body" if line == "-" else None)
+        pushed.plot(*found["body"].T, line, color=_BODY)
         pushed.plot(*found["component"].T, line, color=_OFFSET, lw=1)
         feet_of(pushed, plan, filled=line == "-")
     pushed.plot(*state.foot_position[0, 0, :2], "s", ms=11, color=_BODY, alpha=0.4)

@@ -21,7 +21,7 @@ from ppo_direction_settings import DirectionConfig
 from ppo_settings import ON_GPU, resume_command, training_settings, with_schedule
 
 from aslip.errors import one_line_errors
-from aslip.training.settings import check_positive, check_range
+from aslip.training.settings import check_range
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,6 @@ class StonesConfig(DirectionConfig):
     """Final standard deviation of the policy [rad]."""
     stand: float = 0.05
     """Share of the time with a stand command; 0 for robots that only walk."""
-    course_push: float = 0.3
-    """Impulse of pushes on robots with stones, as a share of the others."""
     command_interval: float = 3.0
     """Mean time between changes of the command in an episode [s]."""
     ramp: float = 0.2
@@ -58,8 +56,6 @@ class StonesConfig(DirectionConfig):
     """Share of the episodes with stones."""
     supported: float = 0.5
     """Share of these in which the ground between the stones does not let robots fall."""
-    vanish_interval: float = 2.0
-    """Mean time in flight between stones that vanish [s]."""
     footstep_ahead: float = 0.1
     """Standard deviation of the displacement of footholds ahead [m]."""
     footstep_sideways: float = 0.05
@@ -74,8 +70,7 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        check_range(self, 0, 1, "courses", "supported", "course_push")
-        check_positive(self, "vanish_interval")
+        check_range(self, 0, 1, "courses", "supported")
 
 
 PRESETS = {
@@ -108,8 +103,9 @@ from aslip.transforms import CourseCommand, RandomFootsteps, RandomPushes, Vanis
 from aslip.transforms.planned import default_planner
 from aslip.walking import WalkResult
 
-# speeds on stones, whose distance sets the pace [m/s]
-_SPEEDS = (0.35, 0.95)
+# speeds on stones, whose distance sets the pace [m/s], and impulses of pushes there, as a share of
+# those on the floor
+_SPEEDS, _PUSH = (0.35, 0.95), 0.3
 # sides of stones [m], difficulties, of which the hardest counts twice, courses of each, stones of a
 # course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3), (0.5, 1.0, 1.0), 400, 16, 77
@@ -155,9 +151,8 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
         command, pushes = (stack.get(name) for name in ("command", "pushes"))
         cast("CourseCommand", command).speeds = _SPEEDS
         if pushes is not None:
-            cast("RandomPushes", pushes).on_stones = config.course_push
-        vanishing = VanishingStones(config.vanish_interval)
-        stack = insert_before(stack, "seen", vanishing=vanishing)
+            cast("RandomPushes", pushes).on_stones = _PUSH
+        stack = insert_before(stack, "seen", vanishing=VanishingStones())
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,

@@ -199,10 +199,11 @@ class PlannedReference(SeededTransform):
         level = torch.nn.functional.pad(share[:, None].expand(-1, 2), (0, 1))
         body = state.body_position + level * away
         speed = state.body_velocity + level * faster
-        far = body.new_tensor([_FAR, _FAR, _HIGH])
+        off = body - stood
+        off = torch.cat([off[:, :2].clamp(-_FAR, _FAR), off[:, 2:].clamp(-_HIGH, _HIGH)], -1)
         return replace(
             state,
-            body_position=stood + torch.maximum(torch.minimum(body - stood, far), -far),
+            body_position=stood + off,
             body_velocity=speed.clamp(-_FAST, _FAST),
             foot_position=foot,
         )

@@ -198,12 +198,6 @@ class VanishingStones(SeededTransform):
         super().__init__([SHOWN_KEY], [])
         self.interval = check_interval(interval)
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset
-
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         shown = cast("Tensor", next_tensordict[SHOWN_KEY])
         aim = footholds_in_world(tensordict)[:, 0, :2]

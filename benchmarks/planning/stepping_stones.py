@@ -137,7 +137,8 @@ def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
                         walks[name].append(walk_courses(config, subject, env, stones, vanishes))
                     bar.update()
     rows = [{"course": name, **row_of(results)} for name, results in walks.items() if results]
-    return Report(rows, table(COLUMNS, rows), picture(config, rows))
+    numbers = {"planner": config.planner, "rows": rows}
+    return Report(rows, table(COLUMNS, rows), picture(config, rows), numbers)
 
 
 def courses_of(config: Config) -> dict[str, np.ndarray]:

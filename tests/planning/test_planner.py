@@ -233,9 +233,8 @@ def test_corners_of_stones_are_on_their_edges():
 
 
 def test_robots_step_on_a_stone_whose_corners_are_far_away():
-    stones = Stones.of([40 * SQUARE], [0.0])
-    for planner in (Planner(), BatchPlanner()):
-        case = random_case(planner.program, np.random.default_rng(0))
+    (case,), stones = _cases(1), Stones.of([40 * SQUARE], [0.0])
+    for planner in (PLANNER, BatchPlanner(PLANNER.program)):
         assert planner.plan(case.state, case.command, stones).on_stones.tolist() == [4]
 
 

@@ -1,5 +1,6 @@
 """A training of planned footsteps starts from a policy and gives one that walks over a course."""
 
+import json
 from pathlib import Path
 from typing import Any, cast
 
@@ -74,6 +75,15 @@ def test_a_course_has_polygons_and_that_of_the_page_room_for_stones(config: Ston
     np.testing.assert_allclose(stones[:5], course.stones, atol=1e-6)
     assert stones[5:].shape == (10, 6)
     assert np.isnan(stones[5:]).all()
+
+
+def test_pushes_on_stones_are_weaker_and_stones_vanish_before_they_are_seen(
+    config: StonesConfig,
+) -> None:
+    transforms = json.loads((config.out / "config.json").read_text())["transforms"]
+    assert "on_stones=0.3" in transforms["training/pushes"]
+    names = [name.removeprefix("training/") for name in transforms]
+    assert names.index("course") < names.index("vanishing") < names.index("seen")
 
 
 def test_courses_are_of_a_share_of_the_episodes() -> None:

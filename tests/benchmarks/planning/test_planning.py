@@ -132,7 +132,11 @@ def test_courses_are_completed_unless_a_robot_leaves_a_stone():
 
 def test_robots_of_any_policy_may_have_another_planner():
     """Also of one that has never seen a plan; the environments fit the policies."""
-    for name, policy, footholds in (("two", "stones", 2), ("nearest", "directions", 4)):
+    planners = {"exact": 4, "nearest": 4, "two": 2, "fixed": 4}
+    assert tuple(planners) == stepping_stones.PLANNERS
+    for policy, (name, footholds) in zip(
+        2 * ("stones", "directions"), planners.items(), strict=True
+    ):
         subject = stepping_stones.with_planner(Subject.load(policy), name)
         env = subject.env(1)
         td = subject.policy(env.reset())
