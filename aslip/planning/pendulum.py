@@ -51,8 +51,9 @@ class Pendulum:
     height: float = 0.9
     """Mean height of the body above the footholds [m]."""
     bounce: float = 0.035
-    """Amplitude of the body's height within a step [m], as in the gaits of the library: highest in
-    single stance, and falling at touchdown. Without it feet land 0.06 s before their time."""
+    """Amplitude of the body's height within a nominal or longer step [m], as in the gaits of the
+    library: highest in single stance, and falling at touchdown. Without it feet land 0.06 s before
+    their time."""
     mass: float = _MODEL.mass
     """Mass of the body [kg], for ground forces."""
     gravity: float = _MODEL.gravity
@@ -68,14 +69,17 @@ class Pendulum:
     def bounced(self, since: Array, duration: Array) -> tuple[Array, Array, Array]:
         """Height (*b,) above that of the pendulum [m], its rate [m/s] and acceleration [m/s^2].
 
+        Steps shorter than nominal bounce less, with no more acceleration: else bodies would fly.
+
         Args:
             since: (*b,) time since the last touchdown [s].
             duration: (*b,) time from there to the next one [s].
         """
         xp, rate = namespace(since), 2 * math.pi / duration
         angle = rate * since - 2 * math.pi * _APEX
-        height = self.bounce * xp.cos(angle)
-        return height, -self.bounce * rate * xp.sin(angle), -(rate**2) * height
+        high = self.bounce * (duration / self.step_time).clip(0.0, 1.0) ** 2
+        height = high * xp.cos(angle)
+        return height, -high * rate * xp.sin(angle), -(rate**2) * height
 
     def shift(self, sign: int, duration: Array) -> Array:
         """Weight beta (*b,) of the shift of pressure in a component.

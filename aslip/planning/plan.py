@@ -222,7 +222,7 @@ class Plan:
         body = Track(*(xp.concatenate([a, b], -1) for a, b in zip(level, up, strict=False)))
         share = (step.elapsed / step.shift.clip(1e-9)).clip(0.0, 1.0)[:, None]
         lever = body.position - start - share * (under - start)
-        # feet do not pull, also where a short step would bounce faster than the body falls
+        # feet do not pull, however high the bounce
         load = (bounce[2] + p.gravity).clip(_LEAST_LOAD * p.gravity)[:, None]
         return body, p.mass * xp.concatenate([p.rate**2 * lever[:, :2], rest + load], -1)
 

@@ -61,6 +61,9 @@ def test_bodies_bounce_within_a_step():
     assert height[0] == pytest.approx(height[-1])
     assert rate[-1] < -0.3
     assert since[height.argmax()] == pytest.approx(0.25, abs=0.01)
+    # no step throws it into the air
+    short = np.full(401, 0.2)
+    assert (P.bounced(np.linspace(0, 0.2, 401), short)[2] > -P.gravity).all()
 
 
 def test_constants_are_checked():
