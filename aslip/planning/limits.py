@@ -89,7 +89,7 @@ class Weights:
     """The last of these offsets [1/m^2]: most of what comes after depends on it."""
     pressure: float = 3.0
     """Centre of pressure ahead of the middle of the foot, or behind [1/m^2]."""
-    stay: float = 0.5
+    stay: float = 1.0
     """A foothold whose stone ends half a step of the command behind where the command would be [-];
     without it, where stones are far apart, a robot would rather step in place than fast."""
     change: float = 10.0
