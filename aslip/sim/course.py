@@ -43,7 +43,7 @@ _FEET = np.array([[-0.1, -0.17], [0.1, -0.17], [0.1, 0.17], [-0.1, 0.17]])
 _FARTHEST = 1e3
 # lateral distance of feet, and the start's and goal's platforms [m]
 _FEET_APART = 0.24
-_PLATFORM, _FRONT, _LAST_GAP = (1.0, 0.8), 0.4, 0.15
+_PLATFORM, _FRONT, _LAST_GAP = (1.4, 0.8), 0.8, 0.15
 # middles of stones ahead that a command aims at, its largest sideways share of the speed, and its
 # largest yaw rate [rad/s]
 _AHEAD, _SIDEWAYS, _TURN = 3, 0.3, 0.4

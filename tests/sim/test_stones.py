@@ -59,7 +59,7 @@ def test_moved_stones_equal_stones_compiled_in_their_places() -> None:
     for model in (moved, spec.compile()):
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
-        data.qpos[0] += 0.9
+        data.qpos[0] += 1.3
         for _ in range(1200):
             mujoco.mj_step(model, data)
         assert data.ncon >= 4
@@ -76,7 +76,7 @@ def test_each_robot_has_its_own_ground() -> None:
         env.set_course([None, pattern("up", count=2), MIXED, None])
         env.set_course(pattern("down", count=6), np.array([3]))
         # the second robot on the goal, the last beside all stones
-        _start(env, (0, 0), (1.85, 0.16), (0, 0), (-3, 0))
+        _start(env, (0, 0), (2.25, 0.16), (0, 0), (-3, 0))
         results.append(_stand(env, 12))
     assert differing(*results) == []
     truth = results[0]
