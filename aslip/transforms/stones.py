@@ -243,7 +243,7 @@ class SeenStones(SeededTransform):
     needs_env = "errors of sight last for an episode"
 
     def __init__(
-        self, count: int = 8, *, ahead: float = 0.8, noise: NoiseLevel = SIGHT_NOISE
+        self, count: int = 16, *, ahead: float = 0.6, noise: NoiseLevel = SIGHT_NOISE
     ) -> None:
         pose = ("pelvis_position", "pelvis_orientation")
         keys = [COURSE_KEY, "heading", ("truth", "slope"), ("true_odometry", pose[1])]

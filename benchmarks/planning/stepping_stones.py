@@ -14,8 +14,9 @@ With `--planner`, robots of any policy have another planner:
 - `two`, with a foresight of two steps;
 - `fixed`, with touchdowns every 0.4 s.
 
-In the row of vanishing stones, these are close together, and the one to which a foot in flight goes
-is taken away at once. It counts how many walk on, or stand, without leaving the others.
+In the row of vanishing stones, these lie in pairs, left and right, close behind each other, and the
+one to which a foot in flight goes is taken away at once. It counts how many walk on, or stand,
+without leaving the others.
 
 Touchdowns are compared with the last plan of that foot before them: distance of its centre from the
 foothold, and time. The simulator gives contacts for whole policy steps, so the time within a step
@@ -96,6 +97,7 @@ from aslip.show.palette import ROBOT
 from aslip.sim.course import (
     along_course,
     ground_height,
+    lay_stones,
     pattern,
     random_stones,
     stairs,
@@ -114,7 +116,7 @@ from benchmarks.common import Policies, Report, Subject, benchmark, table
 _DEEP = 0.05
 # load of a foot that has landed [N], and policy steps by which it may be late
 _LANDED, _LATEST = 50.0, 6
-# row of stones that vanish, and their distance in the direction of the walk [m]
+# row of stones that vanish, and distance of rows of two, left and right [m]
 _VANISHING, _CLOSE = "vanishing", 0.22
 # the first that may vanish, time until the touchdown then, and that of the walk after it [s]
 _THIRD, _LEFT, _AFTER = 3, (0.12, 0.2), 4.0
@@ -154,8 +156,8 @@ def courses_of(config: Config) -> dict[str, np.ndarray]:
         flight = stairs(rise, steps=config.count + 1).stones
         courses[f"stairs {rise:+g} m"] = np.repeat(flight[None], config.trials, 0)
     if config.vanishing:
-        close = random_stones(rng, config.trials, difficulty=0.0, step=_CLOSE, **shape)
-        courses[_VANISHING] = close
+        rows = lay_stones(np.resize([_CLOSE, 0.0], config.count), size=config.size)
+        courses[_VANISHING] = np.repeat(rows[None], config.trials, 0)
     return courses
 
 

@@ -38,7 +38,7 @@ def _env(num: int = 4, **settings: Any) -> StackEnv:
 
 def test_each_reset_draws_a_course_of_which_the_robot_sees_the_nearest_stones() -> None:
     """Robots start on its first stone; who is not reset keeps course and errors."""
-    env = _env()
+    env = _env(count=8)
     first = env.reset()
     np.testing.assert_array_equal(env.base_env.stones, first["stones", "course"])
     lengths = torch.isfinite(first["stones", "course"][..., 0]).sum(1)
@@ -88,6 +88,7 @@ def test_stones_that_are_shown_need_not_be_all_the_ground() -> None:
 def test_stones_vanish_below_feet_in_flight_where_another_one_is_close() -> None:
     """The one that is hidden is the plan's; as ground it stays, and resets show it again."""
     pool = lay_stones(np.array([8 * [0.22], 8 * [0.45]]))
+    pool[..., 0] -= 0.4  # so that they begin soon
     stack = course_stack(planned_stack(), pool, pool)
     stack = insert_before(stack, "seen", vanishing=VanishingStones(0.03))
     env = aslip.make_env(num_envs=8, seed=1, num_threads=1, stack=stack)
@@ -174,7 +175,7 @@ def test_robots_see_and_stand_on_polygons() -> None:
     env.base_env.set_course(TRIANGLES)
     td = env.reset(TensorDict(stand=torch.ones(2, 1), batch_size=2))
     corners = td["stones", "corners"]
-    assert corners.shape == (2, 8, 4, 2)
+    assert corners.shape == (2, 16, 4, 2)
     seen = (corners[:, :2] - td["odometry", "pelvis_position"][:, None, None, :2]).double()
     there = torch.tensor(np.array([[*c, c[-1]][:4] for c in TRIANGLES.corners]))
     there = there - td["truth", "pelvis_position"][:, None, None, :2].double()
