@@ -117,10 +117,10 @@ _LEAST, _MOST = (0.22, 0.14, -0.12), (0.55, 0.4, 0.12)
 # stones until the next
 _DIFFERENCES, _TURN, _STRAIGHT = (0.12, 0.05), 0.45, 4
 # shares of the varied courses that turn, and that are stairs
-_TURNS, _STAIRS = 0.4, 0.3
+_TURNS, _STAIRS = 0.4, 0.4
 # length and rise of treads, at least and most [m], and their width, which is also that of the
 # ground on which no robot falls into a gap
-_LOW, _STEEP, _WIDTH = (0.25, 0.05), (0.4, 0.17), 1.2
+_LOW, _STEEP, _WIDTH = (0.25, 0.05), (0.4, 0.19), 1.2
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
