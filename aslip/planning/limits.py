@@ -58,8 +58,8 @@ class Limits:
     margin: float = 0.05
     """Distance that it keeps to the edges of stones [m]."""
     reserve: float = 0.15
-    """Share of what is left of a stone that each later step does not use, either [-]: plans that
-    need all of it fail at the least error."""
+    """Share of what is left of a stone, of 0.1 m at most to either side, that each later step does
+    not use, either [-]: plans that need all of it fail at the least error."""
 
     def __post_init__(self) -> None:
         """Check ranges and signs."""

@@ -18,6 +18,8 @@ _FAR_AWAY = 1e3
 _SWEEPS = 2
 # share of a stone's half width that is left if it is smaller than the foot
 _LEFT = 0.1
+# distance from the middle of a stone, of which later steps leave a share [m]
+_RESERVED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +124,8 @@ class Stones:
             heading: (n, s) directions of the toes at s steps [rad].
             half_length: half the length of the segment [m].
             margin: distance that is left to the edges [m].
-            share: share of what is left that is used, one number or (s, 1, 1) [-].
+            share: share of what is left, of 0.1 m at most to either side, that is used, one number
+                or (s, 1, 1) [-].
         """
         xp = namespace(self.offsets)
         toes = xp.stack([xp.cos(heading), xp.sin(heading)], -1)
@@ -130,7 +133,7 @@ class Stones:
         middle = (self.normals * self.centres[..., None, :]).sum(-1)
         inside = (self.offsets - middle)[:, None]
         free = xp.maximum(inside - half_length * abs(along) - margin, _LEFT * inside)
-        return middle[:, None] + free * share
+        return middle[:, None] + free - (1 - share) * free.clip(0.0, _RESERVED)
 
     def nearest(self, points: Array) -> Array:
         """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""

@@ -249,6 +249,10 @@ def test_a_whole_foot_stands_on_what_is_left_of_a_stone():
     np.testing.assert_allclose(shrunk[0, 1], [0.04, 0.005, 0.04, 0.005])
     half = stones.shrunk(toes, half_length=0.08, margin=0.01, share=0.5)[0]
     np.testing.assert_allclose(half, shrunk / 2, atol=1e-12)
+    # a platform keeps no more than a stone
+    large = Stones.of([10 * SQUARE], [0.0])
+    whole, half = (large.shrunk(toes, 0.08, 0.01, share) for share in (1.0, 0.5))
+    np.testing.assert_allclose(whole - half, 0.05, atol=1e-12)
 
 
 @pytest.mark.parametrize(
