@@ -77,7 +77,7 @@ class Pendulum:
         """
         xp, rate = namespace(since), 2 * math.pi / duration
         angle = rate * since - 2 * math.pi * _APEX
-        high = self.bounce * (duration / self.step_time).clip(0.0, 1.0) ** 2
+        high = self.bounce * (duration / self.step_time).clip(None, 1.0) ** 2
         height = high * xp.cos(angle)
         return height, -high * rate * xp.sin(angle), -(rate**2) * height
 

@@ -133,7 +133,7 @@ class Stones:
         middle = (self.normals * self.centres[..., None, :]).sum(-1)
         inside = (self.offsets - middle)[:, None]
         free = xp.maximum(inside - half_length * abs(along) - margin, _LEFT * inside)
-        return middle[:, None] + free - (1 - share) * free.clip(0.0, _RESERVED)
+        return middle[:, None] + free - (1 - share) * free.clip(None, _RESERVED)
 
     def nearest(self, points: Array) -> Array:
         """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""
