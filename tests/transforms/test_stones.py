@@ -58,6 +58,21 @@ def test_each_reset_draws_a_course_of_which_the_robot_sees_the_nearest_stones() 
     check_env_specs(env)
 
 
+def test_robots_amid_stones_that_lie_close_see_those_at_their_feet() -> None:
+    rows = lay_stones(np.resize([0.22, 0.0], 20))
+    rows[:, 0] -= 2.0
+    stack = insert_before(default_stack(), "start", course=RandomCourse(rows[None]))
+    stack = insert_before(stack, "observation", stones=SeenStones(noise=NONE))
+    td = aslip.make_env(num_envs=1, seed=1, num_threads=1, stack=stack).reset()
+    pelvis = td["odometry", "pelvis_position"][0, :2]
+    seen = (td["stones", "corners"][0].mean(-2) - pelvis).numpy()
+    there = rows[:, :2] - td["truth", "pelvis_position"][0, :2].numpy()
+    at_feet = there[np.abs(there[:, 0]) < 0.2]
+    assert len(at_feet) >= 2
+    away = np.linalg.norm(at_feet[:, None] - seen, axis=-1).min(1)
+    np.testing.assert_allclose(away, 0.0, atol=1e-3)
+
+
 def test_stones_that_are_shown_need_not_be_all_the_ground() -> None:
     """Robots walk on the course, see what is shown of it, and chosen stones are both."""
     ground = stairs(0.1, steps=3).stones[None]
