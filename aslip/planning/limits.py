@@ -41,6 +41,9 @@ class Limits:
     """Centre of pressure ahead of the middle of a foot that stands on a stone, or behind [m]."""
     step_time: Range = (0.25, 0.7)
     """Time between touchdowns [s]."""
+    sooner: float = 0.015
+    """Time by which a foot in flight lands sooner than by the plan before [s]: one that is suddenly
+    due falls short of its foothold."""
     foot_speed: float = 3.0
     """Mean speed of the swing foot from lift-off until it is above its foothold, and from now until
     the touchdown, both relative to the body [m/s]."""

@@ -190,6 +190,9 @@ class Program:
         least = (limits.step_time[0] - state.since).clip(_SOONEST)
         least = xp.maximum(least, shift)
         greatest = xp.maximum(limits.step_time[1] - state.since, least + _SOONEST)
+        if aim is not None:
+            soonest = xp.minimum(aim[:, 2] - limits.sooner, greatest - _SOONEST)
+            least = xp.where(soonest > least, soonest, least)
         nominal = xp.minimum(xp.maximum(p.step_time - state.since, least), greatest)
         start = pressure(state, p.double_stance)
         body, velocity = state.body_position[:, :2], state.body_velocity[:, :2]

@@ -82,6 +82,21 @@ def test_a_push_ahead_is_answered_by_a_longer_and_sooner_step():
     assert plan.time[0, 0] < plain.time[0, 0] - 0.02
 
 
+@pytest.mark.parametrize("kind", [Planner, BatchPlanner])
+def test_a_foot_in_flight_is_due_little_sooner_than_in_the_plan_before(kind):
+    state = replace(_cases(1)[0].state, since=np.array([0.15]))
+    pushed = replace(state, body_velocity=state.body_velocity + np.array([[1.0, 0.0, 0.0]]))
+    command, sooner = np.array([[0.4, 0.0, 0.0]]), {}
+    for limits in (LIMITS, replace(LIMITS, sooner=1.0)):
+        planner = kind(Program(limits=limits))
+        before = planner.plan(state, command)
+        aim = np.concatenate([before.foothold[:, 0, :2], before.time[:, :1]], axis=1)
+        after = planner.plan(pushed, command, aim=aim)
+        sooner[limits.sooner] = before.time[0, 0] - after.time[0, 0]
+    assert sooner[LIMITS.sooner] == pytest.approx(LIMITS.sooner, abs=1e-6)
+    assert sooner[1.0] > 2 * LIMITS.sooner
+
+
 def test_where_no_stone_is_in_reach_the_step_comes_near_and_the_plan_says_so():
     state, command = standing(PLANNER.program, 0), np.array([[0.3, 0.0, 0.0]])
     far = Stones.of([SQUARE + np.array([1.2, -0.2])], [0.0])
