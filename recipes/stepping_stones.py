@@ -6,10 +6,9 @@
 
 A planner on a linear pendulum decides at every policy step where and when the next feet land, and
 the policy follows. It goes on from the policy of all directions, which has never seen a plan. Some
-robots of a batch walk over random courses of stones and fall into the gaps, and some stones vanish
-before the foot lands; the others are on the floor, where footholds are displaced at random, also in
-flight. Robots, pushes and PPO are those of `ppo_directions.py`; evaluations walk commands on the
-floor.
+robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
+floor, where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
+`ppo_directions.py`; evaluations walk commands on the floor.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class StonesConfig(DirectionConfig):
     """Folder of the run."""
     start: str | None = "directions"
     """Policy to start from: the name of a shipped one, a file or a run."""
-    total_steps: int = 8_000_000
+    total_steps: int = 9_000_000
     """Policy steps to train for, rounded up to whole updates."""
     samples: int = 8192
     """Policy steps per update."""
@@ -46,6 +45,8 @@ class StonesConfig(DirectionConfig):
     """Initial standard deviation of the policy [rad]."""
     last_std: float = 0.03
     """Final standard deviation of the policy [rad]."""
+    push_impulse: float = 10.0
+    """Largest impulse of random pushes [N s]; 0 for none."""
     stand: float = 0.05
     """Share of the time with a stand command; 0 for robots that only walk."""
     command_interval: float = 3.0
@@ -99,28 +100,25 @@ from aslip.envs.directions import course_stack, planned_stack
 from aslip.planning import BatchPlanner
 from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
-from aslip.transforms import CourseCommand, RandomFootsteps, RandomPushes, VanishingStones
+from aslip.transforms import CourseCommand, RandomFootsteps
 from aslip.transforms.planned import default_planner
 from aslip.walking import WalkResult
 
-# speeds on stones, whose distance sets the pace [m/s], and impulses of pushes there, as a share of
-# those on the floor
-_SPEEDS, _PUSH = (0.35, 0.95), 0.3
+# speeds on stones, whose distance sets the pace [m/s]
+_SPEEDS = (0.35, 0.95)
 # sides of stones [m], difficulties, of which the hardest counts twice, courses of each, stones of a
 # course, and seed of them all
 _SIZES, _DIFFICULTIES, _EACH, _COUNT, _SEED = (0.2, 0.3), (0.5, 1.0, 1.0), 400, 16, 77
-# length of steps and difficulty of courses with stones so close that some may vanish
-_CLOSE, _LEVEL = 0.24, 0.2
 # length of steps, distance of the feet and rise of a step of varied courses, at least and most [m]
 _LEAST, _MOST = (0.22, 0.14, -0.12), (0.55, 0.4, 0.12)
 # differences of single steps in length and rise [m], largest turn from straight ahead [rad], and
 # stones until the next
 _DIFFERENCES, _TURN, _STRAIGHT = (0.12, 0.05), 0.45, 4
 # shares of the varied courses that turn, and that are stairs
-_TURNS, _STAIRS = 0.4, 0.4
+_TURNS, _STAIRS = 0.4, 0.25
 # length and rise of treads, at least and most [m], and their width, which is also that of the
 # ground on which no robot falls into a gap
-_LOW, _STEEP, _WIDTH = (0.25, 0.05), (0.4, 0.19), 1.2
+_LOW, _STEEP, _WIDTH = (0.25, 0.05), (0.4, 0.15), 1.2
 
 
 def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkResult]:
@@ -148,11 +146,7 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     """Stack for training with courses, and with displaced footholds on the floor."""
     if config.courses:
         stack = course_stack(stack, *course_pool(config.courses, config.supported))
-        command, pushes = (stack.get(name) for name in ("command", "pushes"))
-        cast("CourseCommand", command).speeds = _SPEEDS
-        if pushes is not None:
-            cast("RandomPushes", pushes).on_stones = _PUSH
-        stack = insert_before(stack, "seen", vanishing=VanishingStones())
+        cast("CourseCommand", stack["command"]).speeds = _SPEEDS
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,
@@ -174,8 +168,6 @@ def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]
         for difficulty in _DIFFICULTIES
     ]
     courses += [varied_stones(rng, len(_DIFFICULTIES) * _EACH, size) for size in _SIZES]
-    close = {"count": _COUNT, "size": _SIZES[0], "difficulty": _LEVEL, "step": _CLOSE}
-    courses.append(random_stones(rng, len(_SIZES) * _EACH, **close))
     stones = np.concatenate(courses)
     flat = np.full((round(len(stones) * (1 - share) / share), *stones.shape[1:]), np.nan)
     shown = np.concatenate([stones, flat])

@@ -49,4 +49,3 @@ from .standing import advance_mode as advance_mode
 from .stones import CourseCommand as CourseCommand
 from .stones import RandomCourse as RandomCourse
 from .stones import SeenStones as SeenStones
-from .stones import VanishingStones as VanishingStones

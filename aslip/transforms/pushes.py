@@ -15,7 +15,6 @@ from aslip.base.checks import check_number
 from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_interval, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
-from aslip.transforms.stones import COURSE_KEY, has_stones
 
 
 class RandomPushes(SeededTransform):
@@ -31,13 +30,12 @@ class RandomPushes(SeededTransform):
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
-        on_stones: impulses on robots on courses, see `RandomCourse`, as a share of the others.
         difficulty_key: key of the difficulty (n, 1) that scales the impulses, see
             `aslip.transforms.Difficulty`.
 
     Raises:
-        ConfigurationError: `impulse` or `on_stones` is negative, or `interval` or `duration` is
-            shorter than a policy step.
+        ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
+            policy step.
     """
 
     needs_env = "it pushes simulated robots"
@@ -48,7 +46,6 @@ class RandomPushes(SeededTransform):
         interval: float = 5.0,
         duration: float = 0.21,
         *,
-        on_stones: float = 1.0,
         difficulty_key: NestedKey | None = None,
     ) -> None:
         keys = [] if difficulty_key is None else [difficulty_key]
@@ -57,7 +54,6 @@ class RandomPushes(SeededTransform):
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
         self.interval = check_interval(interval)
         self.duration = check_number("duration", duration, CASSIE.policy_period, what="in s")
-        self.on_stones = check_number("on_stones", on_stones, 0.0)
         self._steps = round(self.duration / CASSIE.policy_period)
 
     def _reset(
@@ -81,9 +77,6 @@ class RandomPushes(SeededTransform):
         angle = 2 * math.pi * turn
         size = share * self.impulse / (self._steps * CASSIE.policy_period)
         size = size * difficulty_of(tensordict, self.difficulty_key)
-        stones = tensordict.get(COURSE_KEY, None)
-        if stones is not None:
-            size = torch.where(has_stones(stones), self.on_stones * size, size)
         drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
         force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))
         next_tensordict.set(self.out_keys[0], force)

@@ -19,16 +19,12 @@ from torchrl.data import Composite, Unbounded
 from aslip.base.checks import check_count, check_number
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
-from aslip.robot import CASSIE, NoiseLevel
+from aslip.robot import NoiseLevel
 from aslip.sim.course import STONE, Course, along_course, stone_corners, stone_distances
-from aslip.transforms.base import ChosenAtReset, SeededTransform, check_interval, require_keys
+from aslip.transforms.base import ChosenAtReset, SeededTransform, require_keys
 from aslip.transforms.command import VelocityCommand
-from aslip.transforms.plan_state import footholds_in_world
 from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse, yaw
 
-# a stone may vanish if more others than these are within a distance of it [m], as the other foot
-# needs two; and time until the touchdown then [s]
-_AROUND, _OTHERS, _VANISHES = 0.5, 3, (0.1, 0.25)
 # names of leaves differ from those of groups: `ParallelEnv` confuses them
 COURSE_KEY: Final = ("stones", "course")
 """Key of the stones (n, s, 6) of simulated robots, by the columns of `aslip.sim.course.STONE`."""
@@ -174,47 +170,6 @@ class CourseCommand(VelocityCommand):
         led = self.library.nearest(along_course(course, pelvis, turn, speed))
         moves = (command != 0).any(1, keepdim=True)
         return torch.where(has_stones(course) & moves, led, command)
-
-
-class VanishingStones(SeededTransform):
-    """Hide the stone to which a foot in flight goes, at random, for the rest of an episode.
-
-    Robots do not see it any more, see the argument `shown` of `RandomCourse`, and must step
-    elsewhere; as ground it stays. It is hidden where stones are so close that there is another one
-    for the foot.
-
-    Must come after `RandomCourse` and before `SeenStones`.
-
-    Args:
-        interval: mean time in flight between stones that vanish [s].
-
-    Raises:
-        ConfigurationError: `interval` is shorter than a policy step.
-    """
-
-    needs_env = "stones stay hidden for an episode"
-
-    def __init__(self, interval: float = 2.0) -> None:
-        super().__init__([SHOWN_KEY], [])
-        self.interval = check_interval(interval)
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        shown = cast("Tensor", next_tensordict[SHOWN_KEY])
-        aim = footholds_in_world(tensordict)[:, 0, :2]
-        target = stone_distances(shown, aim[:, None])[:, 0].argmin(-1)
-        near = (shown[..., :2] - aim[:, None]).norm(dim=-1) < _AROUND
-        left = cast("Tensor", tensordict["plan", "time"])[:, 0]
-        chance = torch.rand(left.shape, generator=self.generator)
-        hidden = (chance < CASSIE.policy_period / self.interval) & (near.sum(-1) > _OTHERS)
-        hidden &= (left > _VANISHES[0]) & (left < _VANISHES[1])
-        order = torch.arange(shown.shape[1], device=shown.device)
-        gone = hidden[:, None] & (order == target[:, None])
-        return next_tensordict.set(SHOWN_KEY, shown.masked_fill(gone[..., None], torch.nan))
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Check that stones are shown."""
-        require_keys(self, observation_spec, self.in_keys)
-        return observation_spec
 
 
 class SeenStones(SeededTransform):

@@ -42,16 +42,6 @@ def test_pushes_last_as_long_and_are_as_strong_as_asked() -> None:
     assert float(force[pushed].mean(0).norm()) < 3.0
 
 
-def test_pushes_on_courses_may_be_weaker() -> None:
-    pushes = RandomPushes(20.0, 0.03, 0.03, on_stones=0.25)
-    stones = torch.ones(400, 2, 6)
-    stones[:200] = torch.nan
-    td = TensorDict({("stones", "course"): stones}, batch_size=400)
-    force = torch.linalg.vector_norm(pushes._step(td, TensorDict(batch_size=400))["push"], dim=-1)
-    largest = [0.03 * half.max().item() for half in force.split(200)]
-    assert largest == pytest.approx([20.0, 5.0], rel=0.05)
-
-
 def test_a_push_moves_the_robot_and_ends_by_itself(make: MakeEnv) -> None:
     """The force written at the end of a step acts in the next one, and resets end it."""
     stack = insert_before(default_stack(), "command", pushes=RandomPushes(60.0, 0.03))

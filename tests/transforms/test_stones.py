@@ -12,12 +12,11 @@ from torchrl.envs.utils import check_env_specs
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
-from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import AslipError, ConfigurationError, ShapeError
 from aslip.robot import NoiseLevel
 from aslip.robot.rotation import yaw
-from aslip.sim.course import Course, lay_stones, pattern, stairs, stone_distances
-from aslip.transforms import RandomCourse, SeenStones, VanishingStones
-from aslip.transforms.plan_state import footholds_in_world
+from aslip.sim.course import Course, lay_stones, pattern, stairs
+from aslip.transforms import RandomCourse, SeenStones
 
 COURSES = [pattern("up", count=7), stairs(-0.15, steps=3)]
 NONE = NoiseLevel(0.0, 0.0)
@@ -95,37 +94,6 @@ def test_stones_that_are_shown_need_not_be_all_the_ground() -> None:
         assert torch.equal(td["stones", "shown"], chosen)
     with pytest.raises(ShapeError, match=r"must be \(1, 4, 6\), got \(1, 3, 6\)"):
         RandomCourse(ground, shown[:, 1:])
-    blind = insert_before(default_stack(), "start", course=RandomCourse(ground))
-    with pytest.raises(UnknownNameError, match="shown"):
-        aslip.make_env(stack=insert_before(blind, "observation", vanishing=VanishingStones()))
-
-
-def test_stones_vanish_below_feet_in_flight_where_another_one_is_close() -> None:
-    """The one that is hidden is the plan's; as ground it stays, and resets show it again."""
-    pool = lay_stones(np.array([8 * [0.22], 8 * [0.45]]))
-    pool[..., 0] -= 0.4  # so that they begin soon
-    stack = course_stack(planned_stack(), pool, pool)
-    stack = insert_before(stack, "seen", vanishing=VanishingStones(0.03))
-    env = aslip.make_env(num_envs=8, seed=1, num_threads=1, stack=stack)
-    td, hidden = env.reset(), torch.zeros(8, dtype=torch.bool)
-    course = cast("Tensor", td["stones", "course"])
-    close = (course[:, 2, 0] - course[:, 1, 0]) < 0.3
-    assert 0 < close.sum() < 8
-    for _ in range(14):
-        before, shown = td, cast("Tensor", td["stones", "shown"])
-        td = cast("TensorDictBase", env.step(td.set("action", torch.zeros(8, 10)))["next"])
-        now = cast("Tensor", td["stones", "shown"])
-        gone = now[..., 0].isnan() & shown[..., 0].isfinite()
-        aims = footholds_in_world(before)[:, :1, :2]
-        assert (stone_distances(shown, aims)[:, 0][gone] < 0.03).all()
-        assert (before["plan", "time"][gone.any(1)] > 0.1).all()
-        hidden |= gone.any(1)
-    assert hidden.any()
-    assert not (hidden & ~close).any()
-    assert torch.equal(td["stones", "course"], course)
-    np.testing.assert_array_equal(env.base_env.stones, course)
-    td = env.reset(td.set("_reset", torch.ones(8, 1, dtype=torch.bool)))
-    assert td["stones", "shown"].isfinite().all()
 
 
 def test_stones_are_seen_from_the_pelvis_wherever_the_estimate_is() -> None:
