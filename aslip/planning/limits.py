@@ -96,7 +96,7 @@ class Weights:
     """A foothold whose stone ends half a step of the command behind where the command would be [-];
     without it, where stones are far apart, a robot would rather step in place than fast."""
     change: float = 10.0
-    """Change of the stone that a foot in flight goes to, by distance [1/m^2]."""
+    """Change of the stone that a foot in flight goes to, by its distance beyond an edge [1/m^2]."""
     change_time: float = 60.0
     """Change of the time at which a foot in flight lands [1/s^2]; without it, noise moves the
     touchdown by 0.1 s and more, as the other costs hardly depend on it."""
@@ -128,6 +128,5 @@ class Weights:
     def change_of(self, stones: Stones, aim: Array) -> Array:
         """Cost (n, m) of stones for feet that go to (n, 2 or 3); none where that is NaN."""
         xp = namespace(aim)
-        aim = aim[:, None, :2]
-        away = stones.nearest(aim[:, None])[:, 0] - aim
-        return xp.nan_to_num(self.change * (away**2).sum(-1))
+        beyond = (stones.normals @ aim[:, None, :2, None])[..., 0] - stones.offsets
+        return xp.nan_to_num(self.change * xp.amax(beyond, -1).clip(0.0) ** 2)

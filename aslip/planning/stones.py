@@ -135,11 +135,6 @@ class Stones:
         free = xp.maximum(inside - half_length * abs(along) - margin, _LEFT * inside)
         return middle[:, None] + free - (1 - share) * free.clip(None, _RESERVED)
 
-    def nearest(self, points: Array) -> Array:
-        """Points (n, k, m, 2) on stones nearest to points (n, k, 1, 2), exact on rectangles [m]."""
-        spread = points + 0 * self.centres[:, None]
-        return nearest(spread, self.normals[:, None], self.offsets[:, None])
-
     def height(self, stone: Array, floor: Array) -> Array:
         """Heights (n,) of stones by index (n,); that of the floor (n,) for index -1."""
         xp = namespace(self.heights)
