@@ -191,8 +191,8 @@ class Program:
         least = xp.maximum(least, shift)
         greatest = xp.maximum(limits.step_time[1] - state.since, least + _SOONEST)
         if aim is not None:
-            soonest = xp.minimum(aim[:, 2] - limits.sooner, greatest - _SOONEST)
-            least = xp.where(soonest > least, soonest, least)
+            # NaN, for feet that are not in flight, does not count
+            least = xp.fmax(least, xp.minimum(aim[:, 2] - limits.sooner, greatest - _SOONEST))
         nominal = xp.minimum(xp.maximum(p.step_time - state.since, least), greatest)
         start = pressure(state, p.double_stance)
         body, velocity = state.body_position[:, :2], state.body_velocity[:, :2]
