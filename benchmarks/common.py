@@ -35,7 +35,13 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.library.library import SHIPPED
-from aslip.policy import add_memory, check_policy_fits, policy_environment, policy_library
+from aslip.policy import (
+    add_memory,
+    check_policy_fits,
+    policy_environment,
+    policy_library,
+    read_card,
+)
 from aslip.robot import CASSIE, SIDES
 from aslip.rom import Motion
 from aslip.show.plots import save_figure
@@ -162,7 +168,7 @@ class Policies:
 
         Args:
             stack: name of the stack of the environments, unless the caller gives a function that
-                makes them; by default that of each policy.
+                makes them, or a policy follows plans; by default that of each policy.
 
         Raises:
             ConfigurationError: they follow different gaits.
@@ -180,6 +186,8 @@ class Policies:
     def _subject(self, policy: Policy, stack: str | None = None) -> Subject:
         library, make_env = chosen_library(self.config, policy), self.make_env
         if stack is not None and make_env is None:
+            planned = isinstance(policy, str | Path) and read_card(policy)["stack"] == "planned"
+            stack = "planned" if planned else stack
             make_env = partial(aslip.make_env, stack=stack, library=library)
         subject = Subject.load(policy, make_env, library)
         if isinstance(self.config, Directions) and subject.library.command_size == 1:

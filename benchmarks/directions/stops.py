@@ -38,8 +38,6 @@ class Config(Directions):
     """Time from the stand command until the measurement [s]."""
     after: float = 4.0
     """Time of walking after standing [s]."""
-    stack: str = "directions"
-    """Stack with stop and start in which policies walk, whatever the one they were trained in."""
 
     def __post_init__(self) -> None:
         """Check number of walks and duration."""
@@ -95,7 +93,8 @@ COLUMNS = {
 @benchmark
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each policy."""
-    subjects = policies.load(config.stack)
+    # those of the stack `walking`, too, can stop and start there
+    subjects = policies.load("directions")
     chosen = commands(config, subjects[0].library)
     later = delays(subjects[0].library, chosen)
     walks = [*zip(seeds(config), chosen, later, strict=True)]

@@ -6,7 +6,7 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -22,7 +22,7 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurr
 from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from benchmarks.common import Common, Policies, Subject, write_results
-from benchmarks.flags import check_numbers
+from benchmarks.flags import Directions, check_numbers
 from benchmarks.paper import foot_placement, ground_force
 from benchmarks.robustness import pushes, walking_quality
 from benchmarks.robustness.parameters import SWEEPS
@@ -117,6 +117,13 @@ def test_policies_of_one_name_are_seeds_of_a_method() -> None:
         "paper": ["robust"],
         "straight": ["straight"],
     }
+
+
+def test_policies_that_follow_plans_keep_their_planner_in_another_stack() -> None:
+    """The benchmark of stops asks for `directions`, which they cannot observe."""
+    subjects = Policies(Directions(policy=("directions", "stones"))).load("directions")
+    environments = [cast("partial[StackEnv]", subject.make_env).keywords for subject in subjects]
+    assert [environment["stack"] for environment in environments] == ["directions", "planned"]
 
 
 def test_results_are_valid_json_with_nan(tmp_path: Path) -> None:
