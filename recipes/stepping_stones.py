@@ -31,7 +31,7 @@ class StonesConfig(DirectionConfig):
     """Folder of the run."""
     start: str | None = "directions"
     """Policy to start from: the name of a shipped one, a file or a run."""
-    total_steps: int = 9_000_000
+    total_steps: int = 6_000_000
     """Policy steps to train for, rounded up to whole updates."""
     samples: int = 8192
     """Policy steps per update."""
@@ -51,7 +51,7 @@ class StonesConfig(DirectionConfig):
     """Share of the time with a stand command; 0 for robots that only walk."""
     command_interval: float = 3.0
     """Mean time between changes of the command in an episode [s]."""
-    ramp: float = 0.2
+    ramp: float = 0.3
     """Share of the training over which displaced footholds, ranges and pushes grow."""
     courses: float = 0.75
     """Share of the episodes with stones."""
