@@ -378,7 +378,7 @@ def picture(config: Config, rows: list[dict[str, Any]]) -> Figure:
     names = [row["course"] for row in rows[hard:]]
     panels[2].errorbar(names, mean[hard:], [x[hard:] for x in spread], fmt="o", **style)
     panels[2].set(ylabel="courses completed [%]", ylim=(-4, 104))
-    panels[2].tick_params(axis="x", rotation=60)
+    panels[2].tick_params(axis="x", rotation=90)
     for axes in panels:
         axes.grid(alpha=0.3)
     return figure
