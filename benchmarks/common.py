@@ -167,8 +167,8 @@ class Policies:
         """Load the subjects, which follow the same gaits.
 
         Args:
-            stack: name of the stack of the environments, unless the caller gives a function that
-                makes them, or a policy follows plans; by default that of each policy.
+            stack: name of the stack of policies that did not learn to stand in their own, unless
+                the caller gives a function that makes environments; by default that of each policy.
 
         Raises:
             ConfigurationError: they follow different gaits.
@@ -185,9 +185,8 @@ class Policies:
 
     def _subject(self, policy: Policy, stack: str | None = None) -> Subject:
         library, make_env = chosen_library(self.config, policy), self.make_env
-        if stack is not None and make_env is None:
-            planned = isinstance(policy, str | Path) and read_card(policy)["stack"] == "planned"
-            stack = "planned" if planned else stack
+        own = isinstance(policy, str | Path) and read_card(policy)["stands"]
+        if stack is not None and make_env is None and not own:
             make_env = partial(aslip.make_env, stack=stack, library=library)
         subject = Subject.load(policy, make_env, library)
         if isinstance(self.config, Directions) and subject.library.command_size == 1:

@@ -93,7 +93,6 @@ COLUMNS = {
 @benchmark
 def main(config: Config, policies: Policies) -> Report[list[dict[str, Any]]]:
     """Measure and draw; the result is a row for each policy."""
-    # those of the stack `walking`, too, can stop and start there
     subjects = policies.load("directions")
     chosen = commands(config, subjects[0].library)
     later = delays(subjects[0].library, chosen)

@@ -119,8 +119,8 @@ def test_policies_of_one_name_are_seeds_of_a_method() -> None:
     }
 
 
-def test_policies_that_follow_plans_keep_their_planner_in_another_stack() -> None:
-    """The benchmark of stops asks for `directions`, which they cannot observe."""
+def test_policies_that_learned_to_stand_keep_their_own_stack() -> None:
+    """A policy of plans cannot observe what `directions` writes."""
     subjects = Policies(Directions(policy=("directions", "stones"))).load("directions")
     environments = [cast("partial[StackEnv]", subject.make_env).keywords for subject in subjects]
     assert [environment["stack"] for environment in environments] == ["directions", "planned"]
