@@ -7,8 +7,9 @@
 A planner on a linear pendulum decides at every policy step where and when the next feet land, and
 the policy follows. It goes on from the policy of all directions, which has never seen a plan. Some
 robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
-floor, where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
-`ppo_directions.py`; evaluations walk commands on the floor.
+floor, where they follow the library, or plans whose footholds are displaced at random, also in
+flight. Robots, pushes and PPO are those of `ppo_directions.py`; evaluations walk commands on the
+floor.
 """
 
 from __future__ import annotations
@@ -57,6 +58,9 @@ class StonesConfig(DirectionConfig):
     """Share of the episodes with stones."""
     supported: float = 0.5
     """Share of these in which the ground between the stones does not let robots fall."""
+    displaced: float = 0.5
+    """Share of the episodes with displaced footholds; robots without these and stones follow the
+    library."""
     footstep_ahead: float = 0.1
     """Standard deviation of the displacement of footholds ahead [m]."""
     footstep_sideways: float = 0.05
@@ -71,7 +75,7 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        check_range(self, 0, 1, "courses", "supported")
+        check_range(self, 0, 1, "courses", "supported", "displaced")
 
 
 PRESETS = {
@@ -150,6 +154,7 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,
+        episodes=config.displaced,
         difficulty_key="difficulty" if "difficulty" in stack else None,
     )
     return insert_before(stack, "reference", footsteps=footsteps)

@@ -144,8 +144,8 @@ def planned_stack(
 
     Its `PlannedReference` comes after the estimator, and it has a reward for feet at their planned
     places. Policies observe where and when the next foot lands, and the command that the plan
-    amounts to instead of the one given, which stones may not allow. Robots that stop, stand and
-    start follow the library.
+    amounts to instead of the one given, which stones may not allow. Robots without stones, and
+    those that stop, stand and start, follow the library.
 
     Args:
         library: gait library over three commands, with stop and start; the shipped one by default.
@@ -174,14 +174,12 @@ def planned_stack(
         ),
         rewards.touchdown: (
             [("truth", "ground_force")],
-            [("plan", "state"), ("plan", "time"), "mode"],
+            [("plan", name) for name in ("state", "time", "step")],
         ),
         rewards.footstep: (
             [
                 *(("odometry", foot) for foot in feet),
-                ("plan", "last_foothold"),
-                ("plan", "state"),
-                "mode",
+                *(("plan", name) for name in ("last_foothold", "state", "step")),
             ],
             [],
         ),

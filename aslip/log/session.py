@@ -27,7 +27,7 @@ from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.sim.course import STONE
-from aslip.transforms.plan_state import footholds_in_world, landing_foot
+from aslip.transforms.plan_state import followed, footholds_in_world, landing_foot
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
@@ -355,10 +355,10 @@ class Session:
             self._event("/touchdown", values)
 
     def _planned(self, td: TensorDictBase) -> Row | None:
-        """Foot in swing -> its foothold (2,) in the world; None without a planner."""
-        if "plan" not in td:
-            return None
+        """Foot in swing -> its foothold (2,) in the world; None if the robot follows no plan."""
         one = cast("TensorDictBase", td[self._robot : self._robot + 1])
+        if "plan" not in td or not followed(one):
+            return None
         return {SIDES[int(landing_foot(one))]: footholds_in_world(one)[0, 0, :2].double().numpy()}
 
     def _joint_states(self, truth: Row) -> None:

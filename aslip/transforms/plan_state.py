@@ -138,6 +138,11 @@ def landed(
     )
 
 
+def followed(found: TensorDictBase) -> Tensor:
+    """(n, 1) bool, robots that follow their plan, and not the library."""
+    return cast("Tensor", found["plan", "step"])[:, -1:] != 0
+
+
 def landing_foot(found: TensorDictBase) -> Tensor:
     """Foot (n,) that lands next in plans, 0 for the left and 1 for the right."""
     led = WalkState.from_rows(cast("Tensor", found["plan", "state"]))

@@ -33,6 +33,7 @@ from aslip.transforms.plan_motors import MOTORS, NEAR, PlanMotors
 from aslip.transforms.plan_state import (
     ODOMETRY,
     contact_of,
+    followed,
     frame_between,
     landed,
     phase_of,
@@ -57,10 +58,10 @@ PLAN_SIZES: Final[Mapping[str, int]] = MappingProxyType(
 columns of `WalkState.to_rows`; the next foothold [m]; that of the foot in stance, from the last
 plan before it landed [m]; the time until the next touchdown [s]; what policies observe of both, the
 next foothold from the body, above the foot in stance [m], the time until then [s] and the foot in
-stance, 1 for the left and -1 for the right one, all zero for robots that do not walk; the number of
-first footholds that stones allow, see `Plan.on_stones`; and the command that the plan amounts to,
-see `Plan.command`, or of robots that do not walk the command given. For plans of N steps there are
-`later_footholds` (N - 1, 3), too [m]."""
+stance, 1 for the left and -1 for the right one, all zero for robots that follow the library; the
+number of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan
+amounts to, see `Plan.command`, or of robots that follow the library the command given. For plans of
+N steps there are `later_footholds` (N - 1, 3), too [m]."""
 
 _VECTORS = (
     *("body_position", "body_velocity"),
@@ -105,8 +106,9 @@ class PlannedReference(SeededTransform):
     [m, frame of the odometry], feet land on them; NaN where is no stone. `("footsteps", "shift")`
     (n, 2) displaces the next foothold from the best one [m].
 
-    Robots with a stand command stop, stand and start as the library does; the phase of those that
-    walk is the plan's.
+    Robots that have neither stones nor displaced footholds, or a shift of NaN, follow the library,
+    and their plan is only written; so do those with a stand command, which stop, stand and start.
+    The phase of those that follow a plan is the plan's.
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
@@ -166,13 +168,12 @@ class PlannedReference(SeededTransform):
         lands = (left <= 0) | (state.stance != led.stance)[:, None]
         last = torch.where(lands, turned, last)
         aim = torch.where(flies, torch.cat([turned[:, :2], left], -1), torch.nan)
-        if self._stands:
-            begins = cast("Tensor", past["mode"]) != WalkMode.WALK
-            first = self._started(present).to_rows()
-            state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
-            aim = torch.where(begins, torch.nan, aim)
-            stood = state.of_foot(state.foot_position, swing=False)
-            last = torch.where(begins, stood, last)
+        begins = ~followed(past)
+        first = self._started(present).to_rows()
+        state = WalkState.from_rows(torch.where(begins, first, state.to_rows()))
+        aim = torch.where(begins, torch.nan, aim)
+        stood = state.of_foot(state.foot_position, swing=False)
+        last = torch.where(begins, stood, last)
         return self._written(present, state, last, aim)
 
     def _started(self, found: TensorDictBase) -> WalkState:
@@ -224,24 +225,33 @@ class PlannedReference(SeededTransform):
         turn = later.heading.angle
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)
-        if self._stands:
-            command, phase = (cast("Tensor", into[key]) for key in (_COMMAND, "phase"))
-            mode, stand = (cast("Tensor", into[key]) for key in ("mode", "stand"))
-            walks = mode == WalkMode.WALK
-            planned = phase_of(state, plan["time"], self.library.stride(command))
-            phase = torch.where(walks, planned, phase)
-            others = reference_and_target(self.library, command, phase, standing=(mode, stand))
-            reference, target = (
-                {name: torch.where(walks, value, other[name]) for name, value in own.items()}
-                for own, other in zip((reference, target), others, strict=True)
-            )
-            plan["step"] = torch.where(walks, plan["step"], 0.0)
-            plan["filtered_command"] = torch.where(walks, plan["filtered_command"], command)
-            shift = torch.where(walks, shift, 0.0)
-            into.set("phase", phase)
+        command, phase = (cast("Tensor", into[key]) for key in (_COMMAND, "phase"))
+        follows = self._follows(into)
+        planned = phase_of(state, plan["time"], self.library.stride(command))
+        phase = torch.where(follows, planned, phase)
+        standing = (into["mode"], into["stand"]) if self._stands else None
+        others = reference_and_target(self.library, command, phase, standing=standing)
+        reference, target = (
+            {name: torch.where(follows, value, other[name]) for name, value in own.items()}
+            for own, other in zip((reference, target), others, strict=True)
+        )
+        plan["step"] = torch.where(follows, plan["step"], 0.0)
+        plan["filtered_command"] = torch.where(follows, plan["filtered_command"], command)
+        shift = torch.where(follows, shift, 0.0)
+        into.set("phase", phase)
         for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
             into.set(key, TensorDict(entries, into.batch_size))
         return recentred(into, shift)
+
+    def _follows(self, found: TensorDictBase) -> Tensor:
+        """(n, 1) bool, robots that follow a plan."""
+        corners = found.get(("stones", "corners"), None)
+        shift = found.get(("footsteps", "shift"), None)
+        follows = torch.zeros_like(cast("Tensor", found["phase"]), dtype=torch.bool)
+        for entry in (corners, shift):
+            if entry is not None:
+                follows = follows | entry.isfinite().flatten(1).any(1)[:, None]
+        return follows & (found["mode"] == WalkMode.WALK) if self._stands else follows
 
     def _planned(
         self, found: TensorDictBase, state: WalkState, shift: Tensor, aim: Tensor | None
@@ -250,7 +260,7 @@ class PlannedReference(SeededTransform):
         command = cast("Tensor", found[_COMMAND])
         footsteps = found.get(("footsteps", "shift"), None)
         kept: dict[str, Any] = {} if aim is None else {"aim": aim}
-        free = kept if footsteps is None else {**kept, "shift": footsteps}
+        free = kept if footsteps is None else {**kept, "shift": footsteps.nan_to_num()}
         corners = found.get(("stones", "corners"), None)
         if corners is None:
             return self._sampled(state, command, free)

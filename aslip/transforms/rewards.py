@@ -19,7 +19,6 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from aslip.library import WalkMode
 from aslip.planning import Pendulum
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.transforms.rotation import (
@@ -317,7 +316,7 @@ def footstep(
     right_foot_position: Tensor,
     last_foothold: Tensor,
     state: Tensor,
-    mode: Tensor,
+    step: Tensor,
     scale: float = 0.03,
 ) -> Tensor:
     r""":math:`f(d)`, d the distance of the foot in stance from its foothold.
@@ -326,20 +325,20 @@ def footstep(
 
     The exponential alone is flat where feet land far off, as they do at first from long reaches.
     The distance is along the ground. The term is 1 in policy steps in which the plan puts a foot
-    down, and for robots that do not walk.
+    down, and for robots that follow no plan.
 
     Args:
         left_foot_position: (*b, 3) [m].
         right_foot_position: (*b, 3) [m].
         last_foothold: (*b, 3) where the foot in stance was to land [m, same frame].
         state: (*b, 31) state of the plan, see `aslip.planning.WalkState.to_rows`.
-        mode: (*b, 1) `aslip.library.WalkMode`.
+        step: (*b, 5) next step, see `aslip.transforms.planned.PLAN_SIZES`.
         scale: distance s [m].
     """
     right = state[..., -2:-1] > 0
     stood = torch.where(right, right_foot_position, left_foot_position)
     found = _near(_norm((stood - last_foothold)[..., :2]), scale)
-    counts = (state[..., -1:] > CASSIE.policy_period) & (mode == WalkMode.WALK)
+    counts = (state[..., -1:] > CASSIE.policy_period) & (step[..., -1:] != 0)
     return torch.where(counts, found, 1.0)
 
 
@@ -352,7 +351,7 @@ def touchdown(
     ground_force: Tensor,
     state: Tensor,
     time: Tensor,
-    mode: Tensor,
+    step: Tensor,
     double_stance: float = Pendulum.double_stance,
     scale: float = 0.1,
 ) -> Tensor:
@@ -360,14 +359,14 @@ def touchdown(
 
     W is the nominal robot's weight, and :math:`s W` the load that a foot has at least when it is
     down. Neither counts in policy steps in which the plan lifts the foot or puts it down, nor of
-    robots that do not walk. Ours, for feet that land when they should.
+    robots that follow no plan. Ours, for feet that land when they should.
 
     Args:
         ground_force: (*b, 2, 3) force of the ground on left and right foot [N, world], mean of a
             policy step.
         state: (*b, 31) state of the plan after it, see `aslip.planning.WalkState.to_rows`.
         time: (*b, 1) time until the plan's next touchdown, when the policy step began [s].
-        mode: (*b, 1) `aslip.library.WalkMode`.
+        step: (*b, 5) next step, see `aslip.transforms.planned.PLAN_SIZES`.
         double_stance: time after a touchdown at which the other foot lifts off [s].
         scale: force over weight s at which the term is 1/e.
     """
@@ -379,7 +378,7 @@ def touchdown(
     # a foot below the edge of a stone is pushed down
     early = torch.where(flies, swung.clamp(min=0.0), 0.0)
     late = torch.where(since > period, (scale - stood).clamp(min=0.0), 0.0)
-    return torch.exp(-torch.where(mode == WalkMode.WALK, early + late, 0.0) / scale)
+    return torch.exp(-torch.where(step[..., -1:] != 0, early + late, 0.0) / scale)
 
 
 def level(pelvis_orientation: Tensor, scale: float = 0.1) -> Tensor:

@@ -39,6 +39,7 @@ def compare_rollouts(
     *,
     steps: int,
     first: TensorDict,
+    stones: np.ndarray | None = None,
 ) -> Iterator[TensorDictBase]:
     """Check that a controller repeats a rollout bit for bit, and yield its entries at each step.
 
@@ -53,6 +54,7 @@ def compare_rollouts(
         change: function that changes commands and headings before a step.
         steps: number of policy steps.
         first: entries of the reset.
+        stones: (n, m, e, 3) stones that the controller is told in every step.
     """
 
     def commands(td: TensorDictBase) -> dict[str, Tensor]:
@@ -61,7 +63,7 @@ def compare_rollouts(
 
     def start(td: TensorDictBase) -> Any:
         given = {**commands(td), "phase": td["phase"], "heading": td["heading"]}
-        return controller.start(cast("Any", td["sensors"]), **given)
+        return controller.start(cast("Any", td["sensors"]), stones=stones, **given)
 
     td = env.reset(first)
     state, same = start(td), torch.ones(len(td), dtype=torch.bool)
@@ -82,7 +84,11 @@ def compare_rollouts(
             state, same = start(following), ~same
         else:
             state, _ = controller.step(
-                state, cast("Any", following["sensors"]), **commands(following), heading=heading
+                state,
+                cast("Any", following["sensors"]),
+                **commands(following),
+                heading=heading,
+                stones=stones,
             )
         td = following
     assert restarts > 0

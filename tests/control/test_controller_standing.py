@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Unbounded
 
 import aslip
 from aslip.base.archive import as_json
 from aslip.control import Controller
+from aslip.control.controller import _with_stones
 from aslip.control.estimates import standing_estimate
 from aslip.control.export import export_policy
 from aslip.control.steering import Steering
-from aslip.envs import StackEnv
+from aslip.envs import StackEnv, insert_before
 from aslip.envs.directions import course_stack, planned_stack
 from aslip.envs.edit import Stack
 from aslip.errors import ConfigurationError, ShapeError
@@ -25,8 +27,15 @@ from aslip.planning import BatchPlanner, Planner
 from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, read_card
 from aslip.robot import CASSIE, NoiseLevel
 from aslip.sim.course import stairs, stone_corners
-from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, SeenStones, StandCommand
+from aslip.transforms import (
+    COMMAND_RATES,
+    DIRECTION_TABLE,
+    SeededTransform,
+    SeenStones,
+    StandCommand,
+)
 from aslip.transforms.observation import PLANNED_TABLE
+from aslip.transforms.plan_state import followed
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical, yaw
 from tests.control.helpers import compare_rollouts, small_actions, standing_packet
@@ -93,12 +102,31 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
     assert len(modes) == 4 or num == 1
 
 
+class FromPelvis(SeededTransform):
+    """Stones (1, m, e, 3) from the pelvis, placed as controllers do."""
+
+    def __init__(self, stones: np.ndarray) -> None:
+        keys: Any = [("stones", name) for name in ("place", "corners", "height")]
+        super().__init__(["heading", ("odometry", "pelvis_position")], keys)
+        self._stones = stones.astype(np.float32)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return _with_stones(cast("TensorDict", next_tensordict), self._stones)
+
+    def transform_observation_spec(self, observation_spec: Any) -> Any:
+        for key, shape in zip(self.out_keys, ((1, 4, 3), (1, 4, 2), (1,)), strict=True):
+            observation_spec[key] = Unbounded(torch.Size((*observation_spec.shape, *shape)))
+        return observation_spec
+
+
 @torch.no_grad()
 @pytest.mark.parametrize("planner", [BatchPlanner(), default_planner()], ids=["batch", "exact"])
 def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     planner: BatchPlanner | Planner,
 ) -> None:
-    """With noise, turns past a half turn, stops, starts, falls and resets."""
+    """With noise, turns past a half turn, stops, starts, falls and resets, on a stone and off."""
+    square = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    stone = np.pad(square, ((0, 0), (0, 1)), constant_values=-0.87)[None, None]
 
     def change(step: int, td: TensorDictBase) -> None:
         td["stand"] = torch.full_like(td["stand"], float(25 < step < 45))
@@ -107,11 +135,17 @@ def test_motor_targets_of_planned_footsteps_are_those_of_a_rollout(
     first = TensorDict(
         command=torch.tensor([[0.1, 0, 0.1]]), heading=torch.tensor([[3.1]]), batch_size=1
     )
-    env = _make(1, planned_stack(standing_library(), planner=planner))
+    stack = planned_stack(standing_library(), planner=planner)
     keys = ("motor_target", "observation", "phase", "mode", ("plan", "foothold"))
     controller = _controller(planner=planner)
     policy = small_actions(0.02, PLANNED)
-    list(compare_rollouts(env, policy, controller, keys, change, steps=60, first=first))
+    for stones in (stone, None):
+        seen = {} if stones is None else {"stones": FromPelvis(stones)}
+        env = _make(1, insert_before(stack, "reference", **seen))
+        walk = compare_rollouts(
+            env, policy, controller, keys, change, steps=60, first=first, stones=stones
+        )
+        assert any(followed(td) for td in walk) == (stones is not None)
 
 
 @torch.no_grad()

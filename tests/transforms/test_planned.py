@@ -9,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Unbounded
 
 import aslip
-from aslip.envs import ON_TRUTH, StackEnv, insert_before
+from aslip.envs import ON_TRUTH, Stack, StackEnv, insert_before
 from aslip.envs.directions import planned_stack
 from aslip.envs.straight import shipped_library
 from aslip.ik import LegTable
@@ -26,6 +26,7 @@ from aslip.transforms import (
 from aslip.transforms.base import extend_spec
 from aslip.transforms.observation import join_entries, planned_table
 from aslip.transforms.plan_motors import _YIELD, NEAR, PlanMotors, _feet, _turned
+from aslip.transforms.plan_state import followed
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -44,10 +45,15 @@ def _walk(env: StackEnv, steps: int = 40, **first: torch.Tensor) -> Any:
     return torch.stack(found, 1)
 
 
+def _planned(*sizes: float, **settings: Any) -> Stack:
+    """Stack whose robots follow plans on the floor."""
+    footsteps = RandomFootsteps(*sizes, **settings)
+    return insert_before(planned_stack(), "reference", footsteps=footsteps)
+
+
 @pytest.fixture(scope="module")
 def walk() -> Any:
-    footsteps = RandomFootsteps(share=1.0, interval=0.2)
-    stack = insert_before(planned_stack(), "reference", footsteps=footsteps)
+    stack = _planned(share=1.0, interval=0.2)
     env = aslip.make_env(num_envs=NUM, seed=3, stack=stack, drop=["low_reward"])
     heading = torch.linspace(2.8, 3.4, NUM)[:, None]
     return _walk(env, heading=heading, stand=torch.zeros(NUM, 1))
@@ -163,9 +169,7 @@ def test_a_foot_that_stops_at_its_touchdown_accelerates_no_motor() -> None:
 def test_random_footsteps_displace_the_next_foothold() -> None:
     walks = {}
     for size in (0.0, 0.1):
-        steps = RandomFootsteps(size, 0.0, share=1.0)
-        stack = insert_before(planned_stack(), "reference", footsteps=steps)
-        env = aslip.make_env(num_envs=NUM, seed=3, stack=stack)
+        env = aslip.make_env(num_envs=NUM, seed=3, stack=_planned(size, 0.0, share=1.0))
         # at a speed at which the limits leave room
         start = {"command": torch.tensor([[0.4, 0.0, 0.0]] * NUM), "stand": torch.zeros(NUM, 1)}
         walks[size] = env.reset(TensorDict(start, [NUM]))
@@ -175,8 +179,49 @@ def test_random_footsteps_displace_the_next_foothold() -> None:
     torch.testing.assert_close(moved[:, :2], shift, rtol=0, atol=0.05)
 
 
+def test_a_share_of_the_episodes_has_displacements() -> None:
+    """In the others, robots follow the library."""
+    env = aslip.make_env(num_envs=24, seed=3, stack=_planned(share=1.0, interval=0.1, episodes=0.5))
+    td, found = env.reset(TensorDict({"stand": torch.zeros(24, 1)}, [24])), []
+    for _ in range(8):
+        found.append(torch.cat([td["footsteps", "shift"].isfinite(), followed(td)], 1))
+        td = env.step_mdp(env.step(td.set("action", torch.zeros(24, 10))))
+    displaced = torch.stack(found, 1)
+    assert (displaced == displaced[:, :1, :1]).all()
+    assert 6 < displaced[:, 0, 0].sum() < 18
+
+
+def test_robots_without_stones_follow_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in the stack `directions`, until stones appear; a plan goes on from there."""
+    stack = insert_before(planned_stack(), "reference", stones=OneStone())
+    first = {"command": torch.tensor([[0.4, 0.1, 0.2]] * NUM), "stand": torch.zeros(NUM, 1)}
+    first["phase"] = torch.linspace(0.0, 0.9, NUM)[:, None]
+    walks = []
+    for each in (stack, "directions"):
+        env = aslip.make_env(num_envs=NUM, seed=3, stack=each, **ON_TRUTH)
+        monkeypatch.setattr(OneStone, "robots", 2)
+        td, found = env.reset(TensorDict(first, [NUM])), []
+        for k in range(8):
+            found.append(td.select("reference", "target", "phase", "odometry"))
+            monkeypatch.setattr(OneStone, "robots", NUM if k > 5 else 2)
+            td["command"] = first["command"]
+            td = env.step_mdp(env.step(td.set("action", torch.zeros(NUM, 10))))
+        walks.append(torch.stack([*found, td.select(*found[0].keys())], 1))
+    ours, theirs = walks
+    for name, value in ours[2:, :-2].flatten_keys().items():
+        torch.testing.assert_close(value, theirs[2:, :-2].flatten_keys()[name])
+    assert not torch.allclose(ours["phase"][:2, 1:-2], theirs["phase"][:2, 1:-2])
+    for side in SIDES:
+        name = f"{side}_foot_position"
+        moved = (ours["reference", name][:, -1] - theirs["reference", name][:, -1])[2:]
+        assert 1e-6 < moved.norm(dim=-1).max() < 0.1
+
+
 class OneStone(SeededTransform):
     """A stone of 30 cm ahead of the odometry's pelvis, and places without stones."""
+
+    robots = NUM
+    """Number of the first robots that see it."""
 
     def __init__(self) -> None:
         keys: Any = [("stones", "corners"), ("stones", "height")]
@@ -187,6 +232,9 @@ class OneStone(SeededTransform):
         square = 0.15 * torch.tensor([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
         stone = at + square + torch.tensor([0.3, 0.0])
         nowhere = torch.full_like(stone, float("nan"))
+        stone = torch.where(
+            torch.arange(len(at))[:, None, None, None] < self.robots, stone, nowhere
+        )
         next_tensordict.set(("stones", "corners"), torch.cat([nowhere, stone], 1))
         return next_tensordict.set(("stones", "height"), torch.zeros(len(at), 2))
 
@@ -212,7 +260,7 @@ def test_feet_land_on_stones(kind: type[Planner | BatchPlanner]) -> None:
 
 
 def test_a_reset_of_some_robots_leaves_the_others() -> None:
-    env = aslip.make_env(num_envs=3, seed=3, stack="planned")
+    env = aslip.make_env(num_envs=3, seed=3, stack=_planned())
     td = env.reset()
     td = env.step_mdp(env.step(td.set("action", torch.zeros(3, 10))))
     mask = torch.tensor([[False], [True], [False]])
@@ -225,7 +273,7 @@ def test_a_reset_of_some_robots_leaves_the_others() -> None:
 
 def test_true_forces_tell_when_feet_land_without_an_estimator() -> None:
     """Plans on the truth go on to the second foot's landing, too."""
-    env = aslip.make_env(num_envs=2, seed=3, stack="planned", **ON_TRUTH)
+    env = aslip.make_env(num_envs=2, seed=3, stack=_planned(0.0, 0.0), **ON_TRUTH)
     td = env.reset(TensorDict({"stand": torch.zeros(2, 1)}, [2]))
     policy, stances = load_policy("stones"), []
     for _ in range(30):
@@ -243,13 +291,13 @@ def test_policies_observe_the_command_of_the_plan() -> None:
     check_policy_fits("directions", env)
     command = torch.tensor([[1.2, 0.0, 0.3]]).expand(2, 3)
     td = env.reset(TensorDict({"command": command, "stand": torch.zeros(2, 1)}, [2]))
-    followed = cast("torch.Tensor", td["plan", "filtered_command"])
+    wished = cast("torch.Tensor", td["plan", "filtered_command"])
     place = DIRECTION_TABLE.index("filtered_command")
     first = join_entries(td, stack["observation"].in_keys[:place]).shape[-1]
-    assert torch.equal(td["observation"][:, first : first + 3], followed)
+    assert torch.equal(td["observation"][:, first : first + 3], wished)
     assert (td["filtered_command"][:, 0] > 0.6).all()
-    assert (followed - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
-    torch.testing.assert_close(followed[:, 2], td["filtered_command"][:, 2])
+    assert (wished - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
+    torch.testing.assert_close(wished[:, 2], td["filtered_command"][:, 2])
 
 
 def test_policies_observe_where_and_when_the_next_foot_lands(walk: Any) -> None:
@@ -271,7 +319,7 @@ def test_policies_observe_where_and_when_the_next_foot_lands(walk: Any) -> None:
 
 def test_a_foot_that_touches_the_ground_has_landed() -> None:
     """Before its time, if it is as low as its foothold; the next foot may lift off then."""
-    env = aslip.make_env(num_envs=NUM, seed=3, stack="planned")
+    env = aslip.make_env(num_envs=NUM, seed=3, stack=_planned(0.0, 0.0))
     td = env.reset(TensorDict({"stand": torch.zeros(NUM, 1)}, [NUM]))
     planned: Any = td["plan"].clone()
     led = WalkState.from_rows(planned["state"])

@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aslip.library import WalkMode
 from aslip.planning import WalkState
 from aslip.transforms import rewards
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse
@@ -298,14 +297,16 @@ def test_footstep_is_the_way_along_the_ground_from_where_the_foot_in_stance_shou
     feet = torch.tensor([[[0.3, 0.1, 0.0]], [[-0.2, -0.1, 0.0]]])
     for stance in (0, 1):
         aim = feet[stance] + torch.tensor([0.03, -0.04, 0.1])
-        for since, mode, away in (
-            (0.2, WalkMode.WALK, 0.05),
-            (0.02, WalkMode.WALK, 0.0),  # lands in this policy step
-            (0.2, WalkMode.STAND, 0.0),
+        for since, side, away in (
+            (0.2, 1.0, 0.05),
+            (0.2, -1.0, 0.05),
+            (0.02, 1.0, 0.0),  # lands in this policy step
+            (0.2, 0.0, 0.0),  # follows no plan
         ):
             state = torch.zeros(1, WalkState.SIZE)
             state[0, -2:] = torch.tensor([stance, since])
-            found = rewards.footstep(feet[0], feet[1], aim, state, torch.tensor([[float(mode)]]))
+            step = torch.tensor([[0.3, 0.1, 0.0, 0.2, side]])
+            found = rewards.footstep(feet[0], feet[1], aim, state, step)
             expected = (math.exp(-away / 0.03) + 1 - away / 0.15) / 2
             assert found.item() == pytest.approx(expected, abs=1e-5)
 
@@ -322,25 +323,24 @@ def test_feet_are_compared_with_each_other_and_far_ones_count_nothing() -> None:
 
 
 def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_lacks() -> None:
-    cases = [  # loads on stance and swing foot [weights], since, time to touchdown [s], mode
-        (1.0, 0.0, 0.3, 0.2, WalkMode.WALK, 0.0),
-        (1.0, 0.05, 0.3, 0.2, WalkMode.WALK, 0.05),
-        (1.0, 0.05, 0.3, 0.02, WalkMode.WALK, 0.0),  # lands in this policy step
-        (1.0, 0.05, 0.12, 0.2, WalkMode.WALK, 0.0),  # lifts off in it
-        (1.0, -0.5, 0.3, 0.2, WalkMode.WALK, 0.0),  # is pushed down by the edge of a stone
-        (0.0, 1.0, 0.05, 0.3, WalkMode.WALK, 0.1),
-        (0.06, 1.0, 0.05, 0.3, WalkMode.WALK, 0.04),
-        (0.0, 1.0, 0.02, 0.3, WalkMode.WALK, 0.0),  # has landed in it
-        (0.0, 1.0, 0.3, 0.2, WalkMode.STAND, 0.0),
+    cases = [  # loads on stance and swing foot [weights], since, time to touchdown [s], follows
+        (1.0, 0.0, 0.3, 0.2, True, 0.0),
+        (1.0, 0.05, 0.3, 0.2, True, 0.05),
+        (1.0, 0.05, 0.3, 0.02, True, 0.0),  # lands in this policy step
+        (1.0, 0.05, 0.12, 0.2, True, 0.0),  # lifts off in it
+        (1.0, -0.5, 0.3, 0.2, True, 0.0),  # is pushed down by the edge of a stone
+        (0.0, 1.0, 0.05, 0.3, True, 0.1),
+        (0.06, 1.0, 0.05, 0.3, True, 0.04),
+        (0.0, 1.0, 0.02, 0.3, True, 0.0),  # has landed in it
+        (0.0, 1.0, 0.3, 0.2, False, 0.0),
     ]
     for stance in (0, 1):
-        for stood, swung, since, time, mode, missed in cases:
+        for stood, swung, since, time, follows, missed in cases:
             load = [stood, swung] if stance == 0 else [swung, stood]
             force = torch.zeros(1, 2, 3)
             force[0, :, 2] = torch.tensor(load) * 33.312 * 9.81
             state = torch.zeros(1, WalkState.SIZE)
             state[0, -2:] = torch.tensor([stance, since])
-            found = rewards.touchdown(
-                force, state, torch.tensor([[time]]), torch.tensor([[float(mode)]])
-            )
+            step = torch.tensor([[0.3, 0.1, 0.0, time, 2.0 * stance - 1 if follows else 0.0]])
+            found = rewards.touchdown(force, state, step[:, 3:4], step)
             assert found.item() == pytest.approx(math.exp(-missed / 0.1), abs=1e-4)

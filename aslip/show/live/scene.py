@@ -12,7 +12,7 @@ import torch
 import viser
 from tensordict import TensorDictBase
 
-from aslip.library import GaitLibrary, WalkMode
+from aslip.library import GaitLibrary
 from aslip.library.footholds import footholds_of, yaw_rotation
 from aslip.robot import SIDES, Side
 from aslip.robot.rotation import yaw
@@ -29,7 +29,7 @@ from aslip.show.live.robot import Color, RobotView, to_color, tube
 from aslip.show.live.stones import ScenePlace, StonesView
 from aslip.show.model_place import BESIDE, BESIDE_STEPS, RomPlace
 from aslip.show.render import spring_path
-from aslip.transforms.plan_state import footholds_in_world, landing_foot
+from aslip.transforms.plan_state import followed, footholds_in_world, landing_foot
 
 # radius and half thickness of a disc on the floor [m]
 _FOOTHOLD_RADIUS = 0.05
@@ -97,9 +97,10 @@ class RomView:
             ("left", "right", ghost.left, ghost.left_stance),
             ("right", "left", ghost.right, ghost.right_stance),
         )
+        plans = "plan" in td and bool(followed(td))
         for side, other, foot, stance in legs:
             self._legs[side].update(body, foot - origin, stance)
-            if "plan" not in td:
+            if not plans:
                 ahead = np.empty((0, 3))
                 if self._footholds is not None and not stance:
                     stance_foot = truth[f"{other}_foot_position"][0].double().numpy()
@@ -110,14 +111,12 @@ class RomView:
                     )
                     ahead = np.array([[*place, 0.0]])
                 self._mark(side, ahead, origin)
-        if "plan" in td:
+        if plans:
             self._mark_plan(td, origin)
 
     def _mark_plan(self, td: TensorDictBase, origin: np.ndarray) -> None:
-        """Draw the footholds of a robot's plan, if it walks."""
+        """Draw the footholds of a robot's plan."""
         ahead = footholds_in_world(td)[0].double().numpy()
-        if "mode" in td and int(cast("torch.Tensor", td["mode"])) != WalkMode.WALK:
-            ahead = ahead[:0]
         first = int(landing_foot(td))
         for i, side in enumerate(SIDES):
             self._mark(side, ahead[(i - first) % 2 :: 2], origin)
