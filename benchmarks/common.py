@@ -27,6 +27,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from matplotlib.figure import Figure
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.transforms import Transform
 
 import aslip
 from aslip.base.tables import markdown
@@ -266,6 +267,19 @@ def shortest_swing(footholds: Footholds, command: float | Sequence[float]) -> fl
     left, right = (footholds.touchdown_phase(side, command) % 1.0 for side in SIDES)
     # the left swing begins at phase 0, the right one half a stride later
     return min(left, (right - 0.5) % 1.0) * footholds.stride(command) / 2
+
+
+def insert_before_plan(env: StackEnv, *transforms: Transform) -> None:
+    """Insert transforms before the planner of an environment.
+
+    Raises:
+        ConfigurationError: it has none.
+    """
+    at = next((i for i, t in enumerate(env.transforms) if "plan" in t.out_keys), None)
+    if at is None:
+        raise ConfigurationError("the policy's stack has no planner, as that of `stones` has")
+    for transform in reversed(transforms):
+        env.insert_transform(at, transform)
 
 
 # -------------------------------------------------------------------------- reports

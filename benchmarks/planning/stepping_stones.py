@@ -110,7 +110,7 @@ from aslip.transforms.planned import default_planner
 from aslip.transforms.stones import COURSE_KEY
 from aslip.walking import next_start
 from aslip.walking.record import can_stand, commands_kept, take_step
-from benchmarks.common import Policies, Report, Subject, benchmark, table
+from benchmarks.common import Policies, Report, Subject, benchmark, insert_before_plan, table
 
 # a loaded foot this far below the stones has left them [m]
 _DEEP = 0.05
@@ -184,9 +184,7 @@ def environment(config: Config, subject: Subject, courses: dict[str, np.ndarray]
     """Environment whose planner sees the stones, if it has one."""
     env = subject.walking_env(config, config.trials)
     if "plan" in env.observation_spec and "stones" not in env.observation_spec:
-        at = next(i for i, t in enumerate(env.transforms) if "plan" in t.out_keys)
-        env.insert_transform(at, SeenStones())
-        env.insert_transform(at, RandomCourse(next(iter(courses.values()))))
+        insert_before_plan(env, RandomCourse(next(iter(courses.values()))), SeenStones())
     return env
 
 

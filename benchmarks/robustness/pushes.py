@@ -53,6 +53,8 @@ class Config(Sweeps):
     """Duration of the walk before a push [s]."""
     after: float = 3.0
     """Duration without a fall after which a push is survived [s]."""
+    planned: bool = False
+    """Whether pushed robots follow plans, and not the library; of stacks with a planner."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -82,8 +84,17 @@ from aslip.base.interval import Interval
 from aslip.envs import StackEnv, library_of
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
+from aslip.transforms import RandomFootsteps
 from aslip.walking import policy_steps, reset_walks
-from benchmarks.common import Policies, Report, Subject, benchmark, straight, table
+from benchmarks.common import (
+    Policies,
+    Report,
+    Subject,
+    benchmark,
+    insert_before_plan,
+    straight,
+    table,
+)
 from benchmarks.robustness.push_picture import picture
 from benchmarks.robustness.sweeps import (
     COLUMNS,
@@ -156,6 +167,8 @@ def measure_pushes(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
         return np.zeros(shape)
     direction, phase, _ = (grid.ravel() for grid in np.indices(shape))
     with closing(subject.walking_env(config, len(phase))) as env:
+        if config.planned:
+            insert_before_plan(env, RandomFootsteps(0.0, 0.0))
         td, standing = settle(config, env, subject.policy, phase / config.phases, bar)
         states = env.base_env.states()
         orientation = np.asarray(td["truth", "pelvis_orientation"])

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.common import Subject, table
+from aslip.errors import ConfigurationError
+from aslip.transforms.plan_state import followed
+from benchmarks.common import Policies, Subject, table
 from benchmarks.robustness import pushes
 from benchmarks.robustness.pushes import (
     PUSH_COLUMNS,
@@ -57,6 +59,27 @@ def test_bisection_converges_from_below() -> None:
     assert text.startswith(f"{survived.size} of {survived.size} robots survived all pushes, up to")
     assert "`--largest 3.2`" in text
     assert not pushes.censored_text(config, survived - 0.2)
+
+
+@pytest.mark.parametrize("planned", [False, True])
+def test_pushed_robots_follow_plans_if_asked(
+    planned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[Any] = []
+
+    def walked(*arguments: Any) -> Any:
+        td, there = settle(*arguments)
+        found.append(followed(td))
+        return td, there
+
+    monkeypatch.setattr(pushes, "settle", walked)
+    config = _config(policy=("stones",), settle=0.1, after=0.1, planned=planned)
+    (subject,) = Policies(config).load()
+    measure_pushes(config, subject, BAR)
+    assert (found[0] == planned).all()
+    if planned:
+        with pytest.raises(ConfigurationError, match="has no planner"):
+            measure_pushes(config, SHIPPED, BAR)
 
 
 def _measured(
