@@ -118,9 +118,10 @@ _ENTRIES = {
     "reference/left_foot_heading": "direction of the left toes, from the moving frame [rad]",
     "reference/right_foot_heading": "direction of the right toes, from the moving frame [rad]",
     "filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s], limited in rate",
-    "plan/filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s] of the plan",
+    "plan/filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s] of the plan,"
+    " or without stones of the command",
     "plan/step": "next foothold, from the body and above the foot in stance [m]; time until then"
-    " [s]; foot in stance, 1 left, -1 right",
+    " [s]; foot in stance, 1 left, -1 right; zeros without stones",
     "odometry/path_error": "estimated distance from the moving frame's origin [m]",
     "last_action": "action of the last policy step [rad], same order as the motors",
 }

@@ -9,7 +9,7 @@ the policy follows. It goes on from the policy of all directions, which has neve
 robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
 floor, where they follow the library, or plans whose footholds are displaced at random, also in
 flight. Robots, pushes and PPO are those of `ppo_directions.py`; evaluations walk commands on the
-floor.
+floor, where robots follow the library.
 """
 
 from __future__ import annotations

@@ -69,7 +69,8 @@ class ControllerBase(ABC, Generic[AnyState]):
     stands: bool
     """True if the robots take stand commands."""
     plans: bool = False
-    """True if a planner decides where and when the feet land; it needs packets, not estimates."""
+    """True if a planner decides where and when feet land on stones; it needs packets, not
+    estimates."""
 
     @property
     @abstractmethod
@@ -105,7 +106,7 @@ class ControllerBase(ABC, Generic[AnyState]):
                 estimates [rad], one or (n, 1); by default the yaw in packets or estimates.
             stones: (n, m, e, 3) corners of the stones on which feet may land, from the pelvis and
                 along its yaw, level, and NaN where is none [m]. For controllers with a planner;
-                without stones feet land on the floor.
+                without stones robots follow the library.
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.

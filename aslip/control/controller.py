@@ -107,7 +107,7 @@ class Controller(ControllerBase[ControllerState]):
         estimator: state estimator; its robot defines packets, gains and the policy period.
             With a planner by default that of `planned_estimator`.
         motor_lead: lead of the motor references over the phase, in policy steps; see
-            `ReferenceInjection`.
+            `ReferenceInjection`. With a planner it is one step.
         command_rates: largest rates of the filtered command with a library of several axes
             [m/s^2, rad/s^2], see `CommandFilter`; by default those in the policy's file, or
             `COMMAND_RATES`.

@@ -54,8 +54,8 @@ class Recorder(Transform):
     program ends; until then it is `<path>.part`. A full disk ends the log with a warning, not the
     simulation. Log time is simulated time, zero at the first reset; a later reset
     takes the time of one policy step. See `aslip.log.messages` for topics. Planned footholds are
-    those of the planner, or of the gaits of the stack's clock: NaN without a clock, or if feet do
-    not swing once per stride.
+    those of the plan that a robot follows, or of the gaits of the stack's clock: NaN without a
+    clock, or if feet do not swing once per stride.
 
     Args:
         path: log to write.

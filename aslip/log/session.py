@@ -356,8 +356,10 @@ class Session:
 
     def _planned(self, td: TensorDictBase) -> Row | None:
         """Foot in swing -> its foothold (2,) in the world; None if the robot follows no plan."""
+        if "plan" not in td:
+            return None
         one = cast("TensorDictBase", td[self._robot : self._robot + 1])
-        if "plan" not in td or not followed(one):
+        if not followed(one):
             return None
         return {SIDES[int(landing_foot(one))]: footholds_in_world(one)[0, 0, :2].double().numpy()}
 

@@ -49,7 +49,7 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
 
 
 def reference_library(env: StackEnv) -> GaitLibrary | None:
-    """Gaits of an environment's reference, in which plans start; None for another reference."""
+    """Gaits of an environment's reference, also with a planner; None for another reference."""
     kinds = ReferenceInjection | PlannedReference
     found = (t.library for t in env.transforms if isinstance(t, kinds))
     return cast("GaitLibrary | None", next(found, None))

@@ -25,7 +25,7 @@ class RandomFootsteps(SeededTransform):
 
     A `PlannedReference` after it in the stack lets the foot land that far from the best foothold,
     as stones would. A displacement is normally distributed and holds for a step, unless it is drawn
-    again in flight; some steps have none, and some episodes NaN.
+    again in flight; some steps have none. In some episodes it is NaN, see `episodes`.
 
     Args:
         ahead: standard deviation ahead [m].
@@ -77,7 +77,7 @@ class RandomFootsteps(SeededTransform):
     ) -> TensorDictBase:
         del tensordict
         shift = self._drawn(tensordict_reset)
-        chance = torch.rand((len(shift), 1), generator=self.generator)
+        chance = torch.rand((*shift.shape[:-1], 1), generator=self.generator)
         return tensordict_reset.set(
             self.out_keys[0], torch.where(chance < self.episodes, shift, torch.nan)
         )

@@ -93,22 +93,23 @@ def planned_estimator() -> StateEstimator:
 class PlannedReference(SeededTransform):
     """Write a plan's motion as `("reference", ...)` and `("target", ...)`, replanned at every step.
 
-    It takes the place of `ReferenceInjection`, after the estimator, and writes the same entries. A
-    plan goes on from the state to which the last one led, drawn to the estimate: body and stance
+    It takes the place of `ReferenceInjection`, after the estimator, and writes the same entries.
+    Robots follow a plan if they have stones or displaced footholds, see below. All others, and
+    those with a stand command, follow the library; their plan is only written.
+
+    A plan goes on from the state to which the last one led, drawn to the estimate: body and stance
     foot move there by a share of the distance, and a swing foot stays on its path, which the new
     plan bends without a jump in position or velocity.
 
-    The moving frame is below the plan's body, so that positions of the body in reference and target
-    are zero along the ground. The origin of `("odometry", ...)` moves there, too: `path_error` is
-    the distance of the pelvis from the plan's body. Also writes `("plan", ...)`, see `PLAN_SIZES`.
+    The moving frame of robots that follow a plan is below its body, so that positions of the body
+    in reference and target are zero along the ground. The origin of `("odometry", ...)` moves
+    there, too: `path_error` is the distance of the pelvis from the plan's body. Their phase is the
+    plan's. Also writes `("plan", ...)`, see `PLAN_SIZES`.
 
     If there are stones, `("stones", "corners")` (n, m, e, 2) and `("stones", "height")` (n, m)
     [m, frame of the odometry], feet land on them; NaN where is no stone. `("footsteps", "shift")`
-    (n, 2) displaces the next foothold from the best one [m].
-
-    Robots that have neither stones nor displaced footholds, or a shift of NaN, follow the library,
-    and their plan is only written; so do those with a stand command, which stop, stand and start.
-    The phase of those that follow a plan is the plan's.
+    (n, 2) displaces the next foothold from the best one [m]; NaN for robots that follow the
+    library where they have no stones.
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
@@ -212,8 +213,12 @@ class PlannedReference(SeededTransform):
     def _written(
         self, into: TensorDictBase, state: WalkState, last: Tensor, aim: Tensor | None = None
     ) -> TensorDictBase:
-        """Plan from a state, and write reference, target, plan, odometry and phase."""
-        shift = state.body_position[:, :2].clone()
+        """Plan from a state, and write reference, target, plan, odometry and phase.
+
+        Reference and target are the plan's, or the library's of robots that follow it.
+        """
+        follows = self._follows(into)
+        shift = torch.where(follows, state.body_position[:, :2], 0.0)
         aim = None if aim is None else torch.cat([aim[:, :2] - shift, aim[:, 2:]], -1)
         moved = state.seen_from(shift, 0 * shift[:, 0])
         now, later, around, plan = self._planned(into, moved, shift, aim)
@@ -226,18 +231,16 @@ class PlannedReference(SeededTransform):
         reference = _entries_of(now, 0 * turn) | self._motors(later, around)
         target = _entries_of(later, turn)
         command, phase = (cast("Tensor", into[key]) for key in (_COMMAND, "phase"))
-        follows = self._follows(into)
         planned = phase_of(state, plan["time"], self.library.stride(command))
         phase = torch.where(follows, planned, phase)
         standing = (into["mode"], into["stand"]) if self._stands else None
-        others = reference_and_target(self.library, command, phase, standing=standing)
+        gaits = reference_and_target(self.library, command, phase, standing=standing)
         reference, target = (
-            {name: torch.where(follows, value, other[name]) for name, value in own.items()}
-            for own, other in zip((reference, target), others, strict=True)
+            {name: torch.where(follows, value, gait[name]) for name, value in own.items()}
+            for own, gait in zip((reference, target), gaits, strict=True)
         )
         plan["step"] = torch.where(follows, plan["step"], 0.0)
         plan["filtered_command"] = torch.where(follows, plan["filtered_command"], command)
-        shift = torch.where(follows, shift, 0.0)
         into.set("phase", phase)
         for key, entries in zip(self.out_keys, (reference, target, plan), strict=True):
             into.set(key, TensorDict(entries, into.batch_size))
@@ -250,7 +253,7 @@ class PlannedReference(SeededTransform):
         follows = torch.zeros_like(cast("Tensor", found["phase"]), dtype=torch.bool)
         for entry in (corners, shift):
             if entry is not None:
-                follows = follows | entry.isfinite().flatten(1).any(1)[:, None]
+                follows = follows | _given(entry)[:, None]
         return follows & (found["mode"] == WalkMode.WALK) if self._stands else follows
 
     def _planned(
@@ -267,7 +270,7 @@ class PlannedReference(SeededTransform):
         stones = corners - shift[:, None, None], found["stones", "height"]
         if isinstance(self.planner, Planner):
             return self._sampled(state, command, {**free, "stones": stones})
-        there = corners.isfinite().flatten(1).any(1)
+        there = _given(corners)
         plans = [self._sampled(state, command, o) for o in ({**kept, "stones": stones}, free)]
         return chosen(there, *plans)
 
@@ -333,3 +336,8 @@ def _spread(value: Any, rows: Tensor) -> Any:
         return spread(value, rows)
     whole = {name: spread(entry, rows) for name, entry in value.items()}
     return TensorDict(whole, rows.shape)
+
+
+def _given(entry: Tensor) -> Tensor:
+    """(n,) bool, robots of which not all of (n, ...) is NaN."""
+    return entry.isfinite().flatten(1).any(1)

@@ -332,7 +332,7 @@ def footstep(
         right_foot_position: (*b, 3) [m].
         last_foothold: (*b, 3) where the foot in stance was to land [m, same frame].
         state: (*b, 31) state of the plan, see `aslip.planning.WalkState.to_rows`.
-        step: (*b, 5) next step, see `aslip.transforms.planned.PLAN_SIZES`.
+        step: (*b, 5) `PLAN_SIZES["step"]` of `aslip.transforms.planned`, zero without a plan.
         scale: distance s [m].
     """
     right = state[..., -2:-1] > 0
@@ -366,7 +366,7 @@ def touchdown(
             policy step.
         state: (*b, 31) state of the plan after it, see `aslip.planning.WalkState.to_rows`.
         time: (*b, 1) time until the plan's next touchdown, when the policy step began [s].
-        step: (*b, 5) next step, see `aslip.transforms.planned.PLAN_SIZES`.
+        step: (*b, 5) `PLAN_SIZES["step"]` of `aslip.transforms.planned`, zero without a plan.
         double_stance: time after a touchdown at which the other foot lifts off [s].
         scale: force over weight s at which the term is 1/e.
     """
@@ -419,6 +419,8 @@ def velocity_diff(
 
 def speed_diff(pelvis_velocity: Tensor, command: Tensor, scale: float = 0.3) -> Tensor:
     r""":math:`\exp(-\|v - \hat v\| / s)` of the velocity along the ground and the plan's mean.
+
+    Of robots that follow the library it is the commanded one.
 
     A plan goes on from where the robot is, so that one which is slower than commanded would hardly
     lose reward by the other terms. Ours.

@@ -118,6 +118,7 @@ def main(config: Config, policies: Policies) -> Report[dict[str, Any]]:
         ]
     numbers = {
         "speed": config.speed,
+        "planned": config.planned,
         "push_duration": push_steps(config) * CASSIE.policy_period,
         "resolution": config.largest * 0.5**config.bisections,
         "pushes": push_rows(config, pushes),

@@ -4,7 +4,8 @@
     python -m benchmarks.scorecard.stone_targets --policy runs/seed1 runs/seed2 --record s.json
 
 Random courses are those of difficulty 1: steps of 0.25 to 0.65 m, displaced by up to 10 cm to
-either side and up or down. Their seed is another one than that of the recipe's courses.
+either side and up or down. Their seed is another one than that of the recipe's courses. Pushes and
+changes of the command are on the floor, where robots follow the library.
 Several policies count as seeds of one method, and `--record` keeps the values of each, as in
 `benchmarks.scorecard.direction_targets`, whose targets hold on the floor.
 """

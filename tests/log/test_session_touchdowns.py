@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDict
 
 import aslip
 from aslip.envs import Stack, StackEnv, default_stack, directions_stack
+from aslip.envs.directions import planned_stack
 from aslip.library import GaitLibrary
 from aslip.library.footholds import Footholds
 from aslip.log import Recorder, Recording, read
@@ -58,11 +60,13 @@ def test_reset_of_an_airborne_robot_is_not_a_touchdown(
     assert "/touchdown" not in log.series
 
 
-def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -> None:
-    """The recorder finds the gaits in the stack."""
+@pytest.mark.parametrize("policy", ["directions", "stones"])
+def test_planned_footholds_are_those_of_the_gaits_of_the_stack(policy: str, tmp_path: Path) -> None:
+    """The recorder finds the gaits in the stack; robots without stones follow them."""
     gaits, command = GaitLibrary.load("directions"), (0.3, 0.2, 0.4)
-    env = _recorded(tmp_path / "a.mcap", directions_stack(gaits))
-    walk = _walk(env, tmp_path / "a.mcap", "directions", command)
+    stack = planned_stack(gaits) if policy == "stones" else directions_stack(gaits)
+    env = _recorded(tmp_path / "a.mcap", stack)
+    walk = _walk(env, tmp_path / "a.mcap", policy, command)
     _check_planned(walk, Footholds(gaits), command)
     assert walk.metadata["gaits_sha256"] == gaits.sha256
 

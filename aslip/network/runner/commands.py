@@ -178,8 +178,8 @@ class Datagrams(Source):
     and `walk` is true by default. A stop or damping counts even if a newer datagram follows at
     once. After one second without a datagram the robot steps in place.
 
-    Stones are lists of corners [x, y, z] from the pelvis and along its yaw, level [m]; an empty
-    list is flat floor. They stay where they are until a datagram has others.
+    Stones are lists of corners [x, y, z] from the pelvis and along its yaw, level [m]; with an
+    empty list the robot follows its library. They stay where they are until a datagram has others.
 
     Args:
         port: port on loopback; 0 lets the system choose one.

@@ -43,7 +43,7 @@ _FOLLOW = 0.1
 class RomView:
     """Reduced-order model, a sphere on two coil springs, and discs at planned footholds.
 
-    They are the next ones of a plan, or of robots without a planner that of the foot in swing.
+    They are the next ones of a plan, or of robots that follow none that of the foot in swing.
 
     Args:
         scene: scene to draw in, with the frame `/world` and the pelvis above its origin.
