@@ -176,6 +176,9 @@ def training_section(about: dict[str, Any]) -> str:
         ["versions", versions or "not recorded"],
         ["settings", ", ".join(f"{k} {v}" for k, v in settings.items()) or "not recorded"],
     ]
+    if about["network"] == "planned":
+        kept = made.get("gaits", settings.get("start"))
+        rows.append(["without stones", f"the network of `{kept}`, which did not learn"])
     if trained := made.get("trained_on"):
         now = about["library_sha256"][:12]
         rows.append(

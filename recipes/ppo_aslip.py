@@ -55,6 +55,7 @@ from aslip.policy import (
     load_policy,
     make_actor,
     make_critic,
+    planned_weights,
     policy_interface,
     reference_library,
     save_policy,
@@ -191,6 +192,8 @@ def make_networks(
 def start_from(policy: str, actor: ProbabilisticActor, env: StackEnv) -> None:
     """Give an actor the weights and statistics of a policy with the same observation.
 
+    Both parts of an actor for plans (`make_planned_actor`) get those of a policy with one.
+
     Of a policy that observes less, whose observation is the beginning of the environment's, the
     action stays the same until the actor has learned: weights of the other inputs are zero.
 
@@ -200,6 +203,8 @@ def start_from(policy: str, actor: ProbabilisticActor, env: StackEnv) -> None:
     """
     check_policy_fits(policy, env, begins=True)
     weights, own = load_policy(policy).state_dict(), actor.state_dict()
+    if own.keys() == planned_weights(weights).keys():
+        weights = planned_weights(weights)
     size = env.observation_spec["observation"].shape[-1]
     for name, value in weights.items():
         if value.ndim and own.get(name, value).shape[-1:] == (size,) != value.shape[-1:]:

@@ -5,11 +5,11 @@
     python recipes/walk.py --policy runs/stepping_stones --course 7 --command "0.5 0 0"
 
 A planner on a linear pendulum decides at every policy step where and when the next feet land, and
-the policy follows. It goes on from the policy of all directions, which has never seen a plan. Some
-robots of a batch walk over random courses of stones and fall into the gaps; the others are on the
-floor, where they follow the library, or plans whose footholds are displaced at random, also in
-flight. Robots, pushes and PPO are those of `ppo_directions.py`; evaluations walk commands on the
-floor, where robots follow the library.
+the policy follows. It goes on from the policy of all directions, which has never seen a plan: that
+stays as it is for robots that follow the library, and a copy learns to follow plans. Some robots of
+a batch walk over random courses of stones and fall into the gaps; the others are on the floor,
+where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
+`ppo_directions.py`; evaluations walk commands on the floor, where robots follow the library.
 """
 
 from __future__ import annotations
@@ -58,9 +58,6 @@ class StonesConfig(DirectionConfig):
     """Share of the episodes with stones."""
     supported: float = 0.5
     """Share of these in which the ground between the stones does not let robots fall."""
-    displaced: float = 0.5
-    """Share of the episodes with displaced footholds; robots without these and stones follow the
-    library."""
     footstep_ahead: float = 0.1
     """Standard deviation of the displacement of footholds ahead [m]."""
     footstep_sideways: float = 0.05
@@ -75,7 +72,7 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
-        check_range(self, 0, 1, "courses", "supported", "displaced")
+        check_range(self, 0, 1, "courses", "supported")
 
 
 PRESETS = {
@@ -102,6 +99,7 @@ import ppo_directions
 from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
 from aslip.planning import BatchPlanner
+from aslip.policy import make_actor, make_planned_actor
 from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import CourseCommand, RandomFootsteps
@@ -143,6 +141,7 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
         ),
         add_training=partial(add_footsteps, config),
         numbers=[("plan", "on_stones")],
+        make_actor=make_actor if config.start is None else make_planned_actor,
     )
 
 
@@ -154,7 +153,6 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
     footsteps = RandomFootsteps(
         config.footstep_ahead,
         config.footstep_sideways,
-        episodes=config.displaced,
         difficulty_key="difficulty" if "difficulty" in stack else None,
     )
     return insert_before(stack, "reference", footsteps=footsteps)

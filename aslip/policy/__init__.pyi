@@ -25,6 +25,8 @@ from .networks import entry_names as entry_names
 from .networks import gaussian_actor as gaussian_actor
 from .networks import make_actor as make_actor
 from .networks import make_critic as make_critic
+from .networks import make_planned_actor as make_planned_actor
+from .networks import planned_weights as planned_weights
 from .networks import set_std as set_std
 from .networks import update_normalizers as update_normalizers
 from .privileged import make_privileged_critic as make_privileged_critic

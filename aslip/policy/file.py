@@ -1,8 +1,8 @@
 """Policy files: writing and reading, with checks.
 
 A file has a card (`card.json`) and the weights as plain arrays. The card names the function that
-makes the network, but reading a file never imports code: "mlp" and "gru" are built in, and any
-other network needs the `network` argument of `load_policy`.
+makes the network, but reading a file never imports code: "mlp", "planned" and "gru" are built in,
+and any other network needs the `network` argument of `load_policy`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from aslip.base.assets import asset_path, user_path
 from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.policy.hub import HUB, hub_file
-from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
+from aslip.policy.networks import (
+    PolicyShape,
+    RunningNormalizer,
+    entry_names,
+    make_actor,
+    make_planned_actor,
+)
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from aslip.transforms.command import checked_rates
@@ -55,7 +61,11 @@ _TABLES = (
     PLANNED_TABLE,
 )
 
-_NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
+_NETWORKS: Mapping[str, MakeActor] = {
+    "mlp": make_actor,
+    "planned": make_planned_actor,
+    "gru": make_recurrent_actor,
+}
 
 
 @on_cpu_in_single
@@ -128,7 +138,7 @@ def save_policy(
 
 
 def _network_name(network: MakeActor) -> str:
-    """Name of a function that makes actors: "mlp", "gru", or where another is defined."""
+    """Name of a function that makes actors: "mlp", "planned", "gru", or where it is defined."""
     for name, known in _NETWORKS.items():
         if network is known:
             return name

@@ -36,12 +36,15 @@ from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms.observation import PLANNED_TABLE
 
 # bound of normalised inputs, so that falls do not dominate
 _CLIP = 10.0
 _EPSILON = 1e-4
 # variance below which an input counts as constant in training
 _CONSTANT = 1e-8
+# beginning of the names of an actor's weights
+_NET = "module.0.module."
 # factor on the actor's last layer, so that training starts near the reference motion
 _OUTPUT_SCALE = 0.01
 
@@ -98,7 +101,7 @@ class RunningNormalizer(nn.Module):
 
     Args:
         size: length of the input.
-        key: key of the input, for `update_normalizers`.
+        key: key of the input, for `update_normalizers`; None for statistics that stay.
     """
 
     mean: Tensor
@@ -108,7 +111,7 @@ class RunningNormalizer(nn.Module):
     _scale: Tensor
 
     @on_cpu_in_single
-    def __init__(self, size: int, key: NestedKey = "observation") -> None:
+    def __init__(self, size: int, key: NestedKey | None = "observation") -> None:
         super().__init__()
         self.key = key
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
@@ -162,7 +165,7 @@ def update_normalizers(nets: Iterable[nn.Module], data: TensorDictBase) -> None:
     """Add a batch to the statistics of all normalisers of some networks, once to shared ones."""
     modules = dict.fromkeys(module for net in nets for module in net.modules())
     for module in modules:
-        if isinstance(module, RunningNormalizer):
+        if isinstance(module, RunningNormalizer) and module.key is not None:
             module.update(cast("Tensor", data[module.key]))
 
 
@@ -185,18 +188,81 @@ def make_actor(
         ConfigurationError: the entries of a symmetric policy do not add up to the observation.
         UnknownNameError: a symmetric policy observes an entry whose mirror image is unknown.
     """
+    return _actor_of(_action_net(normalizer, shape or PolicyShape(), observation))
+
+
+@on_cpu_in_single
+def make_planned_actor(
+    normalizer: RunningNormalizer,
+    shape: PolicyShape | None = None,
+    observation: Sequence[NestedKey] = PLANNED_TABLE,
+) -> ProbabilisticActor:
+    """Policy of two perceptrons, for robots that follow a plan and for those that follow gaits.
+
+    Only the first one learns. The second is that of a policy from which a training starts, see
+    `planned_weights`, whose walks without a plan stay what they are.
+
+    Args:
+        normalizer: of the first one, shared with the critic.
+        shape: sizes, standard deviation, symmetry, of each.
+        observation: keys of the observation's entries, the last of which is `("plan", "step")`, see
+            `aslip.transforms.planned.PLAN_SIZES`.
+
+    Raises:
+        ConfigurationError: it is not the last one; or as for `make_actor`.
+        UnknownNameError: see `make_actor`.
+    """
+    if entry_names(observation)[-1:] != ["plan/step"]:
+        raise ConfigurationError(
+            "the observation of a policy for plans ends with ('plan', 'step'), got"
+            f" {entry_names(observation)}"
+        )
     shape = shape or PolicyShape()
+    kept = RunningNormalizer(shape.observation_size, key=None)
+    nets = (_action_net(each, shape, observation) for each in (normalizer, kept))
+    return _actor_of(_OfPlans(*nets))
+
+
+def planned_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of `make_planned_actor` whose two networks both are one of `make_actor`."""
+    return {
+        f"{_NET}{part}.{name.removeprefix(_NET)}": value.clone()
+        for part in ("plans", "gaits")
+        for name, value in weights.items()
+    }
+
+
+class _OfPlans(nn.Module):
+    """Mean and scale of one network where the observation's last number is not zero.
+
+    Elsewhere those of another one, which does not learn.
+    """
+
+    def __init__(self, plans: nn.Module, gaits: nn.Module) -> None:
+        super().__init__()
+        self.plans, self.gaits = plans, gaits
+
+    def forward(self, values: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and scale (*b, 10) for observations (*b, k)."""
+        loc, scale = self.plans(values)
+        with torch.no_grad():
+            other, _ = self.gaits(values)
+        return torch.where(values[..., -1:] != 0, loc, other), scale
+
+
+def _action_net(
+    normalizer: RunningNormalizer, shape: PolicyShape, observation: Sequence[NestedKey]
+) -> nn.Sequential:
+    """Network of `make_actor`: mean action and standard deviation."""
     layers: list[nn.Module] = [normalizer, action_layers(shape, shape.observation_size)]
     if shape.symmetric:
         mirrors = _mirror_of(shape, observation), action_mirror()
         layers = [Symmetrised(nn.Sequential(*layers), *mirrors)]
-    return gaussian_actor(
-        TensorDictModule(
-            nn.Sequential(*layers, action_scale(shape)),
-            in_keys=["observation"],
-            out_keys=["loc", "scale"],
-        )
-    )
+    return nn.Sequential(*layers, action_scale(shape))
+
+
+def _actor_of(net: nn.Module) -> ProbabilisticActor:
+    return gaussian_actor(TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]))
 
 
 def perceptron(inputs: int, outputs: int, hidden: Sequence[int]) -> MLP:

@@ -25,21 +25,19 @@ class RandomFootsteps(SeededTransform):
 
     A `PlannedReference` after it in the stack lets the foot land that far from the best foothold,
     as stones would. A displacement is normally distributed and holds for a step, unless it is drawn
-    again in flight; some steps have none. In some episodes it is NaN, see `episodes`.
+    again in flight; some steps have none.
 
     Args:
         ahead: standard deviation ahead [m].
         sideways: standard deviation sideways [m].
         share: probability with which a step has a displacement.
         interval: mean time between draws in flight [s].
-        episodes: share of the episodes with displacements. In others the shift is NaN, so that
-            robots without stones follow the library.
         difficulty_key: key of the difficulty (n, 1) that scales the displacements, see
             `aslip.transforms.Difficulty`.
 
     Raises:
-        ConfigurationError: a deviation is negative, `share` or `episodes` no share, or `interval`
-            shorter than a policy step.
+        ConfigurationError: a deviation is negative, `share` no share, or `interval` shorter than a
+            policy step.
     """
 
     needs_env = "displacements belong to the steps of robots"
@@ -51,7 +49,6 @@ class RandomFootsteps(SeededTransform):
         *,
         share: float = 0.7,
         interval: float = 2.0,
-        episodes: float = 1.0,
         difficulty_key: NestedKey | None = None,
     ) -> None:
         keys: list[NestedKey] = [] if difficulty_key is None else [difficulty_key]
@@ -61,7 +58,6 @@ class RandomFootsteps(SeededTransform):
             [check_number(n, v, 0.0, what="in m") for n, v in names.items()]
         )
         self.share = check_number("share", share, 0.0, 1.0)
-        self.episodes = check_number("episodes", episodes, 0.0, 1.0)
         self.interval = check_interval(interval)
         self._difficulty_key = difficulty_key
 
@@ -76,11 +72,7 @@ class RandomFootsteps(SeededTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        shift = self._drawn(tensordict_reset)
-        chance = torch.rand((*shift.shape[:-1], 1), generator=self.generator)
-        return tensordict_reset.set(
-            self.out_keys[0], torch.where(chance < self.episodes, shift, torch.nan)
-        )
+        return tensordict_reset.set(self.out_keys[0], self._drawn(tensordict_reset))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         time = cast("Tensor", tensordict["plan", "time"])
@@ -89,9 +81,9 @@ class RandomFootsteps(SeededTransform):
         # of the foot that has landed, also before its time
         landed = WalkState.from_rows(cast("Tensor", tensordict["plan", "state"])).since
         again |= landed[:, None] <= CASSIE.policy_period + 1e-6
-        shift = cast("Tensor", tensordict[self.out_keys[0]])
-        again &= shift.isfinite().all(-1, keepdim=True)
-        shift = torch.where(again, self._drawn(next_tensordict), shift)
+        shift = torch.where(
+            again, self._drawn(next_tensordict), cast("Tensor", tensordict[self.out_keys[0]])
+        )
         return next_tensordict.set(self.out_keys[0], shift)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -94,8 +94,8 @@ class PlannedReference(SeededTransform):
     """Write a plan's motion as `("reference", ...)` and `("target", ...)`, replanned at every step.
 
     It takes the place of `ReferenceInjection`, after the estimator, and writes the same entries.
-    Robots follow a plan if they have stones or displaced footholds, see below. All others, and
-    those with a stand command, follow the library; their plan is only written.
+    Robots follow a plan if they have stones, see below. All others, and those with a stand command,
+    follow the library; their plan is only written.
 
     A plan goes on from the state to which the last one led, drawn to the estimate: body and stance
     foot move there by a share of the distance, and a swing foot stays on its path, which the new
@@ -108,8 +108,7 @@ class PlannedReference(SeededTransform):
 
     If there are stones, `("stones", "corners")` (n, m, e, 2) and `("stones", "height")` (n, m)
     [m, frame of the odometry], feet land on them; NaN where is no stone. `("footsteps", "shift")`
-    (n, 2) displaces the next foothold from the best one [m]; NaN for robots that follow the
-    library where they have no stones.
+    (n, 2) displaces the next foothold from the best one [m], and robots follow plans everywhere.
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.
@@ -249,11 +248,10 @@ class PlannedReference(SeededTransform):
     def _follows(self, found: TensorDictBase) -> Tensor:
         """(n, 1) bool, robots that follow a plan."""
         corners = found.get(("stones", "corners"), None)
-        shift = found.get(("footsteps", "shift"), None)
-        follows = torch.zeros_like(cast("Tensor", found["phase"]), dtype=torch.bool)
-        for entry in (corners, shift):
-            if entry is not None:
-                follows = follows | _given(entry)[:, None]
+        everywhere = found.get(("footsteps", "shift"), None) is not None
+        follows = torch.full_like(cast("Tensor", found["phase"]), everywhere, dtype=torch.bool)
+        if corners is not None:
+            follows = follows | _there(corners)[:, None]
         return follows & (found["mode"] == WalkMode.WALK) if self._stands else follows
 
     def _planned(
@@ -263,14 +261,14 @@ class PlannedReference(SeededTransform):
         command = cast("Tensor", found[_COMMAND])
         footsteps = found.get(("footsteps", "shift"), None)
         kept: dict[str, Any] = {} if aim is None else {"aim": aim}
-        free = kept if footsteps is None else {**kept, "shift": footsteps.nan_to_num()}
+        free = kept if footsteps is None else {**kept, "shift": footsteps}
         corners = found.get(("stones", "corners"), None)
         if corners is None:
             return self._sampled(state, command, free)
         stones = corners - shift[:, None, None], found["stones", "height"]
         if isinstance(self.planner, Planner):
             return self._sampled(state, command, {**free, "stones": stones})
-        there = _given(corners)
+        there = _there(corners)
         plans = [self._sampled(state, command, o) for o in ({**kept, "stones": stones}, free)]
         return chosen(there, *plans)
 
@@ -338,6 +336,6 @@ def _spread(value: Any, rows: Tensor) -> Any:
     return TensorDict(whole, rows.shape)
 
 
-def _given(entry: Tensor) -> Tensor:
-    """(n,) bool, robots of which not all of (n, ...) is NaN."""
-    return entry.isfinite().flatten(1).any(1)
+def _there(corners: Tensor) -> Tensor:
+    """(n,) bool, robots that have stones."""
+    return corners.isfinite().flatten(1).any(1)

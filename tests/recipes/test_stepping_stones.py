@@ -9,7 +9,7 @@ import torch
 
 from aslip.errors import ConfigurationError
 from aslip.library import Schedule
-from aslip.policy import load_policy, policy_stack
+from aslip.policy import load_policy, policy_stack, read_card
 from aslip.sim.course import Course, pattern
 from recipes import stepping_stones, walk
 from recipes.stepping_stones import StonesConfig
@@ -28,10 +28,15 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> StonesConfig:
 def test_the_policy_starts_from_another_which_waits_for_the_critic(config: StonesConfig) -> None:
     """The first of two updates is the critic's alone; inputs that it lacks begin at zero."""
     assert policy_stack(config.out) == "planned"
-    before, after = (load_policy(p).state_dict() for p in ("directions", config.out))
+    assert read_card(config.out)["network"] == "planned"
+    before, both = load_policy("directions").state_dict(), load_policy(config.out).state_dict()
     has = next(len(value) for name, value in before.items() if name.endswith("mean"))
-    new = {name: value[..., has:] for name, value in after.items() if value.shape[-1] == has + 5}
-    after |= {name: after[name][..., :has] for name in new}
+    parts = []
+    for part in ("plans", "gaits"):
+        names = {n.replace(f"{part}.", ""): v for n, v in both.items() if f".{part}." in n}
+        new = {n: v[..., has:] for n, v in names.items() if v.shape[-1:] == (has + 5,)}
+        parts.append((new, names | {n: names[n][..., :has] for n in new}))
+    (new, after), (no, kept) = parts
     counts = [v for values in (new, after) for k, v in values.items() if k.endswith("count")]
     assert (counts[0] == config.total_steps).all()
     assert (counts[1] > counts[0][0]).all()
@@ -40,6 +45,9 @@ def test_the_policy_starts_from_another_which_waits_for_the_critic(config: Stone
     moved = [(after[name] - before[name]).abs().max() for name in after if "weight" in name]
     # two epochs of Adam at most
     assert 0 < torch.stack(moved).max() < 20 * config.learning_rate
+    # what robots without stones do stays as it is
+    assert all(torch.equal(kept[n], v) for n, v in before.items() if not n.endswith("scale"))
+    assert not any(value.any() for value in no.values())
 
 
 def test_a_policy_walks_over_a_course_of_ones_own(

@@ -71,7 +71,7 @@ def make_planned_env() -> StackEnv:
     """Robots with planned footsteps on courses."""
     stones = stairs(0.05).stones[None]
     stack = course_stack(planned_stack(standing_library()), stones, stones)
-    stack = insert_before(stack, "reference", footsteps=transforms.RandomFootsteps(episodes=0.5))
+    stack = insert_before(stack, "reference", footsteps=transforms.RandomFootsteps())
     return aslip.make_env(stack=stack, num_envs=NUM, seed=0, num_threads=1)
 
 

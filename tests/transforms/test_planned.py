@@ -26,7 +26,6 @@ from aslip.transforms import (
 from aslip.transforms.base import extend_spec
 from aslip.transforms.observation import join_entries, planned_table
 from aslip.transforms.plan_motors import _YIELD, NEAR, PlanMotors, _feet, _turned
-from aslip.transforms.plan_state import followed
 from aslip.transforms.planned import default_planner
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -177,18 +176,6 @@ def test_random_footsteps_displace_the_next_foothold() -> None:
     shift = walks[0.1]["footsteps", "shift"]
     assert moved[:, :2].norm(dim=-1).max() > 0.05
     torch.testing.assert_close(moved[:, :2], shift, rtol=0, atol=0.05)
-
-
-def test_a_share_of_the_episodes_has_displacements() -> None:
-    """In the others, robots follow the library."""
-    env = aslip.make_env(num_envs=24, seed=3, stack=_planned(share=1.0, interval=0.1, episodes=0.5))
-    td, found = env.reset(TensorDict({"stand": torch.zeros(24, 1)}, [24])), []
-    for _ in range(8):
-        found.append(torch.cat([td["footsteps", "shift"].isfinite(), followed(td)], 1))
-        td = env.step_mdp(env.step(td.set("action", torch.zeros(24, 10))))
-    displaced = torch.stack(found, 1)
-    assert (displaced == displaced[:, :1, :1]).all()
-    assert 6 < displaced[:, 0, 0].sum() < 18
 
 
 def test_robots_without_stones_follow_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
