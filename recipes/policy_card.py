@@ -213,7 +213,7 @@ def interface_section(about: dict[str, Any]) -> str:
     return "\n\n".join(
         [
             "## Interface",
-            f"It observes {index} numbers, normalised by the mean and variance in the file and"
+            f"It observes {index} numbers, normalised by means and variances in the file and"
             " clipped at ten standard deviations:",
             markdown(["index", "entry", "meaning"], rows, _LEFT),
             f"It answers with {len(CASSIE.motor_names)} angles [rad],"

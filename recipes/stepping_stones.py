@@ -9,7 +9,7 @@ the policy follows. It goes on from the policy of all directions, which has neve
 stays as it is for robots that follow the library, and a copy learns to follow plans. Some robots of
 a batch walk over random courses of stones and fall into the gaps; the others are on the floor,
 where footholds are displaced at random, also in flight. Robots, pushes and PPO are those of
-`ppo_directions.py`; evaluations walk commands on the floor, where robots follow the library.
+`ppo_directions.py`; evaluations walk commands on the floor, on plans.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from ppo_direction_settings import DirectionConfig
 from ppo_settings import ON_GPU, resume_command, training_settings, with_schedule
 
-from aslip.errors import one_line_errors
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.settings import check_range
 
 
@@ -31,7 +31,8 @@ class StonesConfig(DirectionConfig):
     out: Path = Path("runs/stepping_stones")
     """Folder of the run."""
     start: str | None = "directions"
-    """Policy to start from: the name of a shipped one, a file or a run."""
+    """Policy to start from, which acts for robots without stones: the name of a shipped one, a file
+    or a run."""
     total_steps: int = 6_000_000
     """Policy steps to train for, rounded up to whole updates."""
     samples: int = 8192
@@ -72,6 +73,10 @@ class StonesConfig(DirectionConfig):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
+        if self.start is None:
+            raise ConfigurationError(
+                "start must be a policy, which acts for robots without stones, got None"
+            )
         check_range(self, 0, 1, "courses", "supported")
 
 
@@ -98,8 +103,9 @@ import ppo_directions
 
 from aslip.envs import Stack, insert_before
 from aslip.envs.directions import course_stack, planned_stack
+from aslip.library import GaitLibrary
 from aslip.planning import BatchPlanner
-from aslip.policy import make_actor, make_planned_actor
+from aslip.policy import make_planned_actor
 from aslip.sim.course import LEAST_GAP, lay_stones, random_stones
 from aslip.training.settings import read_settings
 from aslip.transforms import CourseCommand, RandomFootsteps
@@ -134,15 +140,19 @@ def main(config: StonesConfig, resume_hint: str = "resume=True") -> list[WalkRes
     return ppo_directions.main(
         config,
         resume_hint,
-        # exact plans are for CPUs
-        make_stack=partial(
-            planned_stack,
-            planner=BatchPlanner(default_planner().program) if config.backend == "warp" else None,
-        ),
+        make_stack=partial(plans_everywhere, config),
         add_training=partial(add_footsteps, config),
         numbers=[("plan", "on_stones")],
-        make_actor=make_actor if config.start is None else make_planned_actor,
+        make_actor=make_planned_actor,
     )
+
+
+def plans_everywhere(config: StonesConfig, library: GaitLibrary) -> Stack:
+    """Stack whose robots follow plans on the floor, too."""
+    # exact plans are for CPUs
+    planner = BatchPlanner(default_planner().program) if config.backend == "warp" else None
+    stack = planned_stack(library, planner=planner)
+    return insert_before(stack, "reference", footsteps=RandomFootsteps(0.0, 0.0))
 
 
 def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
@@ -155,7 +165,7 @@ def add_footsteps(config: StonesConfig, stack: Stack) -> Stack:
         config.footstep_sideways,
         difficulty_key="difficulty" if "difficulty" in stack else None,
     )
-    return insert_before(stack, "reference", footsteps=footsteps)
+    return {**stack, "footsteps": footsteps}
 
 
 def course_pool(share: float, supported: float) -> tuple[np.ndarray, np.ndarray]:

@@ -206,7 +206,7 @@ def course_stack(
     Args:
         stack: `planned_stack`.
         courses: see `aslip.transforms.RandomCourse`; a robot whose stones are all NaN is on the
-            floor.
+            floor and follows the library.
         shown: see `RandomCourse`.
 
     Raises:

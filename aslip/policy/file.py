@@ -159,7 +159,8 @@ def _check_loadable(
         loaded = network(RunningNormalizer(shape.observation_size), shape, observation)
     _fill(loaded, {name: value.detach().cpu() for name, value in actor.state_dict().items()})
     probe = torch.linspace(-1, 1, 2 * shape.observation_size).view(2, -1)
-    given = TensorDict(observation=probe, is_init=torch.ones(2, 1).bool(), batch_size=2)
+    probe = torch.cat([probe, torch.zeros_like(probe[:1])])  # a robot that follows no plan
+    given = TensorDict(observation=probe, is_init=torch.ones(3, 1).bool(), batch_size=3)
     device = next(iter(actor.state_dict().values())).device
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         ours, theirs = actor(given.to(device)).cpu(), loaded(given.clone())

@@ -199,8 +199,8 @@ def make_planned_actor(
 ) -> ProbabilisticActor:
     """Policy of two perceptrons, for robots that follow a plan and for those that follow gaits.
 
-    Only the first one learns. The second is that of a policy from which a training starts, see
-    `planned_weights`, whose walks without a plan stay what they are.
+    Only the first one learns. The second is that of the policy from which a training starts, see
+    `planned_weights`, so that robots without a plan walk as they did.
 
     Args:
         normalizer: of the first one, shared with the critic.
@@ -224,7 +224,7 @@ def make_planned_actor(
 
 
 def planned_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of `make_planned_actor` whose two networks both are one of `make_actor`."""
+    """Weights of `make_planned_actor`, both of whose networks are copies of one of `make_actor`."""
     return {
         f"{_NET}{part}.{name.removeprefix(_NET)}": value.clone()
         for part in ("plans", "gaits")
@@ -233,9 +233,9 @@ def planned_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 class _OfPlans(nn.Module):
-    """Mean and scale of one network where the observation's last number is not zero.
+    """Mean of one network where the observation's last number is not zero, elsewhere of another.
 
-    Elsewhere those of another one, which does not learn.
+    The other one does not learn. The scale is that of the first one.
     """
 
     def __init__(self, plans: nn.Module, gaits: nn.Module) -> None:

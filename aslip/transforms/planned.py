@@ -60,8 +60,8 @@ plan before it landed [m]; the time until the next touchdown [s]; what policies 
 next foothold from the body, above the foot in stance [m], the time until then [s] and the foot in
 stance, 1 for the left and -1 for the right one, all zero for robots that follow the library; the
 number of first footholds that stones allow, see `Plan.on_stones`; and the command that the plan
-amounts to, see `Plan.command`, or of robots that follow the library the command given. For plans of
-N steps there are `later_footholds` (N - 1, 3), too [m]."""
+amounts to, see `Plan.command`, or of robots that follow the library the filtered command. For plans
+of N steps there are `later_footholds` (N - 1, 3), too [m]."""
 
 _VECTORS = (
     *("body_position", "body_velocity"),
@@ -94,8 +94,8 @@ class PlannedReference(SeededTransform):
     """Write a plan's motion as `("reference", ...)` and `("target", ...)`, replanned at every step.
 
     It takes the place of `ReferenceInjection`, after the estimator, and writes the same entries.
-    Robots follow a plan if they have stones, see below. All others, and those with a stand command,
-    follow the library; their plan is only written.
+    Robots follow a plan if they have stones or displaced footholds, see below. All others, and
+    those that stop, stand and start, follow the library; their plan is only written.
 
     A plan goes on from the state to which the last one led, drawn to the estimate: body and stance
     foot move there by a share of the distance, and a swing foot stays on its path, which the new
@@ -108,7 +108,7 @@ class PlannedReference(SeededTransform):
 
     If there are stones, `("stones", "corners")` (n, m, e, 2) and `("stones", "height")` (n, m)
     [m, frame of the odometry], feet land on them; NaN where is no stone. `("footsteps", "shift")`
-    (n, 2) displaces the next foothold from the best one [m], and robots follow plans everywhere.
+    (n, 2) displaces the next foothold from the best one [m]; zero is a plan on the floor, too.
 
     Args:
         library: gaits on which episodes start, with stop and start if robots stand.

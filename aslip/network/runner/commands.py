@@ -275,7 +275,7 @@ def parse_request(text: bytes) -> Request:
 
 
 def _read_stones(given: Sequence[Any]) -> np.ndarray:
-    """Corners (m, e, 3) of stones, from lists of corners [x, y, z]; NaN for flat floor.
+    """Corners (m, e, 3) of stones, from lists of corners [x, y, z]; NaN for none.
 
     Raises:
         ConfigurationError: there are too many, or one is not a convex polygon of finite numbers.
