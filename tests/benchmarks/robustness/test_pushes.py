@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -61,10 +62,7 @@ def test_bisection_converges_from_below() -> None:
     assert not pushes.censored_text(config, survived - 0.2)
 
 
-@pytest.mark.parametrize("planned", [False, True])
-def test_pushed_robots_follow_plans_if_asked(
-    planned: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pushed_robots_follow_plans_if_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Any] = []
 
     def walked(*arguments: Any) -> Any:
@@ -73,13 +71,14 @@ def test_pushed_robots_follow_plans_if_asked(
         return td, there
 
     monkeypatch.setattr(pushes, "settle", walked)
-    config = _config(policy=("stones",), settle=0.1, after=0.1, planned=planned)
+    config = _config(policy=("stones",), settle=0.1, after=0.1, directions=1)
     (subject,) = Policies(config).load()
-    measure_pushes(config, subject, BAR)
-    assert (found[0] == planned).all()
-    if planned:
-        with pytest.raises(ConfigurationError, match="has no planner"):
-            measure_pushes(config, SHIPPED, BAR)
+    for planned in (False, True):
+        config = replace(config, planned=planned)
+        measure_pushes(config, subject, BAR)
+        assert (found[-1] == planned).all()
+    with pytest.raises(ConfigurationError, match="has no planner"):
+        measure_pushes(config, SHIPPED, BAR)
 
 
 def _measured(
