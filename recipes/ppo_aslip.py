@@ -203,8 +203,8 @@ def start_from(policy: str, actor: ProbabilisticActor, env: StackEnv) -> None:
     """
     check_policy_fits(policy, env, begins=True)
     weights, own = load_policy(policy).state_dict(), actor.state_dict()
-    if own.keys() == planned_weights(weights).keys():
-        weights = planned_weights(weights)
+    if own.keys() == (both := planned_weights(weights)).keys():
+        weights = both
     size = env.observation_spec["observation"].shape[-1]
     for name, value in weights.items():
         if value.ndim and own.get(name, value).shape[-1:] == (size,) != value.shape[-1:]:

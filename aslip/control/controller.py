@@ -113,8 +113,8 @@ class Controller(ControllerBase[ControllerState]):
             `COMMAND_RATES`.
         stands: True for robots that take stand commands; by default as the policy's file says,
             False for a module.
-        planner: planner of the footsteps that the policy follows, see `PlannedReference`; policies
-            of the stack `planned` have one by default.
+        planner: planner of the footsteps that the policy follows on stones, see
+            `PlannedReference`; policies of the stack `planned` have one by default.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.

@@ -174,7 +174,7 @@ def planned_stack(
         ),
         rewards.touchdown: (
             [("truth", "ground_force")],
-            [("plan", name) for name in ("state", "time", "step")],
+            [("plan", name) for name in ("state", "step")],
         ),
         rewards.footstep: (
             [

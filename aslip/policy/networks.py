@@ -226,7 +226,7 @@ def make_planned_actor(
 def planned_weights(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of `make_planned_actor`, both of whose networks are copies of one of `make_actor`."""
     return {
-        f"{_NET}{part}.{name.removeprefix(_NET)}": value.clone()
+        f"{_NET}{part}.{name.removeprefix(_NET)}": value
         for part in ("plans", "gaits")
         for name, value in weights.items()
     }

@@ -350,7 +350,6 @@ def _near(distance: Tensor, scale: float) -> Tensor:
 def touchdown(
     ground_force: Tensor,
     state: Tensor,
-    time: Tensor,
     step: Tensor,
     double_stance: float = Pendulum.double_stance,
     scale: float = 0.1,
@@ -365,8 +364,8 @@ def touchdown(
         ground_force: (*b, 2, 3) force of the ground on left and right foot [N, world], mean of a
             policy step.
         state: (*b, 31) state of the plan after it, see `aslip.planning.WalkState.to_rows`.
-        time: (*b, 1) time until the plan's next touchdown, when the policy step began [s].
-        step: (*b, 5) `PLAN_SIZES["step"]` of `aslip.transforms.planned`, zero without a plan.
+        step: (*b, 5) `PLAN_SIZES["step"]` of `aslip.transforms.planned` when the policy step began,
+            zero without a plan.
         double_stance: time after a touchdown at which the other foot lifts off [s].
         scale: force over weight s at which the term is 1/e.
     """
@@ -374,7 +373,7 @@ def touchdown(
     left, right = (ground_force[..., 2] / _WEIGHT).split(1, dim=-1)
     stood, swung = torch.where(stance > 0, right, left), torch.where(stance > 0, left, right)
     period = CASSIE.policy_period
-    flies = (since > double_stance + period) & (time > period)
+    flies = (since > double_stance + period) & (step[..., 3:4] > period)
     # a foot below the edge of a stone is pushed down
     early = torch.where(flies, swung.clamp(min=0.0), 0.0)
     late = torch.where(since > period, (scale - stood).clamp(min=0.0), 0.0)

@@ -54,7 +54,7 @@ def compare_rollouts(
         change: function that changes commands and headings before a step.
         steps: number of policy steps.
         first: entries of the reset.
-        stones: (n, m, e, 3) stones that the controller is told in every step.
+        stones: (n, m, e, 3) stones that the controller is given in every step.
     """
 
     def commands(td: TensorDictBase) -> dict[str, Tensor]:

@@ -1,5 +1,6 @@
 """A training of planned footsteps starts from a policy and gives one that walks over a course."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
 
@@ -7,11 +8,19 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.envs import make_env
 from aslip.errors import ConfigurationError
 from aslip.library import Schedule
-from aslip.policy import load_policy, policy_stack, read_card
+from aslip.policy import (
+    RunningNormalizer,
+    load_policy,
+    make_planned_actor,
+    policy_stack,
+    read_card,
+)
 from aslip.sim.course import Course, pattern
 from recipes import stepping_stones, walk
+from recipes.ppo_aslip import start_from
 from recipes.stepping_stones import StonesConfig
 from tests.helpers import TINY
 
@@ -48,6 +57,17 @@ def test_the_policy_starts_from_another_which_waits_for_the_critic(config: Stone
     # what robots without stones do stays as it is
     assert all(torch.equal(kept[n], v) for n, v in before.items() if not n.endswith("scale"))
     assert not any(value.any() for value in no.values())
+
+
+def test_a_policy_of_two_networks_starts_with_both() -> None:
+    with closing(make_env(num_envs=1, stack="planned")) as env:
+        actor = make_planned_actor(RunningNormalizer(87), read_card("stones")["shape"])
+        start_from("stones", actor, env)
+    found, expected = (net.state_dict() for net in (actor, load_policy("stones")))
+    assert found.keys() == expected.keys()
+    assert all(torch.equal(found[name], value) for name, value in expected.items())
+    with pytest.raises(ConfigurationError, match="start must be a policy"):
+        StonesConfig(start=None)
 
 
 def test_a_policy_walks_over_a_course_of_ones_own(

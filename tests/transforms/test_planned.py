@@ -179,7 +179,7 @@ def test_random_footsteps_displace_the_next_foothold() -> None:
 
 
 def test_robots_without_stones_follow_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in the stack `directions`, until stones appear; a plan goes on from there."""
+    """Their reference is that of the stack `directions`; a plan on stones goes on from it."""
     stack = insert_before(planned_stack(), "reference", stones=OneStone())
     first = {"command": torch.tensor([[0.4, 0.1, 0.2]] * NUM), "stand": torch.zeros(NUM, 1)}
     first["phase"] = torch.linspace(0.0, 0.9, NUM)[:, None]
@@ -278,13 +278,13 @@ def test_policies_observe_the_command_of_the_plan() -> None:
     check_policy_fits("directions", env)
     command = torch.tensor([[1.2, 0.0, 0.3]]).expand(2, 3)
     td = env.reset(TensorDict({"command": command, "stand": torch.zeros(2, 1)}, [2]))
-    wished = cast("torch.Tensor", td["plan", "filtered_command"])
+    of_plan = cast("torch.Tensor", td["plan", "filtered_command"])
     place = DIRECTION_TABLE.index("filtered_command")
     first = join_entries(td, stack["observation"].in_keys[:place]).shape[-1]
-    assert torch.equal(td["observation"][:, first : first + 3], wished)
+    assert torch.equal(td["observation"][:, first : first + 3], of_plan)
     assert (td["filtered_command"][:, 0] > 0.6).all()
-    assert (wished - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
-    torch.testing.assert_close(wished[:, 2], td["filtered_command"][:, 2])
+    assert (of_plan - td["filtered_command"])[:, :2].norm(dim=1).min() > 0.02
+    torch.testing.assert_close(of_plan[:, 2], td["filtered_command"][:, 2])
 
 
 def test_policies_observe_where_and_when_the_next_foot_lands(walk: Any) -> None:

@@ -342,5 +342,5 @@ def test_touchdown_falls_with_load_in_flight_and_with_load_that_a_landed_foot_la
             state = torch.zeros(1, WalkState.SIZE)
             state[0, -2:] = torch.tensor([stance, since])
             step = torch.tensor([[0.3, 0.1, 0.0, time, 2.0 * stance - 1 if follows else 0.0]])
-            found = rewards.touchdown(force, state, step[:, 3:4], step)
+            found = rewards.touchdown(force, state, step)
             assert found.item() == pytest.approx(math.exp(-missed / 0.1), abs=1e-4)
