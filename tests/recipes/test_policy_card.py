@@ -190,6 +190,16 @@ def test_policy_that_follows_other_gaits_still_names_those_of_its_training(tmp_p
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
+def test_card_names_the_policy_that_acts_without_stones() -> None:
+    """The one from which the training started, unless the file names another."""
+    about = read_card("stones")
+    assert "| without stones | the network of `directions`," in policy_card.training_section(about)
+    del about["made_by"]["gaits"]
+    start = about["made_by"]["settings"]["start"]
+    assert f"| without stones | the network of `{start}`," in policy_card.training_section(about)
+    assert "without stones" not in policy_card.training_section(read_card("directions"))
+
+
 def test_card_lists_training_conditions() -> None:
     """Ranges, share and pushes on the card are those of the policy's file, not today's defaults."""
     made: dict[str, dict] = {"settings": {}}
